@@ -318,10 +318,10 @@ impl Cycle {
     pub(crate) fn complete_grant(
         &mut self,
         tti: Tti,
-        answers: Gathered<'_>,
+        answers: GrantAnswers<'_>,
         observer: &mut impl Observer,
     ) -> CycleStep {
-        let Gathered {
+        let GrantAnswers {
             reports,
             failures,
             unpowered,
@@ -479,7 +479,7 @@ impl Cycle {
 
 /// The answers of all devices to a grant.
 #[derive(Debug)]
-pub struct Gathered<'a> {
+pub struct GrantAnswers<'a> {
     /// Reports, in any order; sorted by the call.
     pub reports: &'a mut [Report],
     /// Devices that detected the event and could not transmit, in any order; sorted by the call.
@@ -524,7 +524,7 @@ pub struct PreparedRun {
     pub warnings: Vec<String>,
     /// Random streams of the policy. A pilot run uses the streams of its run, so that both judge the same policy.
     pub streams: PolicyStreams,
-    /// Grids of wake-up correlations, shared with other runs.
+    /// Bounds of P_4,2, shared with other runs.
     pub correlation_bounds: Arc<BoundsCache>,
 }
 

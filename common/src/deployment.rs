@@ -60,11 +60,11 @@ impl Deployment {
         self.devices.iter().map(|d| d.position).collect()
     }
 
-    /// Returns the setup of the host of `membership` for the devices `first .. first + count` from TTI 0 on.
+    /// Returns the setup of a host with `credentials` for the devices `first .. first + count` from TTI 0 on.
     pub fn host_setup<P>(
         &self,
         scenario: &Scenario<P>,
-        membership: BusCredentials,
+        credentials: BusCredentials,
         first: u32,
         count: u32,
     ) -> HostSetup {
@@ -76,8 +76,8 @@ impl Deployment {
             Vec::new()
         };
         HostSetup {
-            membership,
-            resumption: None,
+            credentials,
+            checkpoint: None,
             seed: scenario.run.seed,
             ttis: scenario.run.ttis,
             measured_from: scenario.warm_up_end(),

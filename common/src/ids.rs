@@ -71,7 +71,7 @@ impl Tti {
 
     /// Returns the TTI before this one, which must not be the first; [`Tti::NEVER`] stays unchanged.
     #[must_use]
-    pub(crate) const fn saturating_sub_one(self) -> Self {
+    pub(crate) const fn previous(self) -> Self {
         if self.0 == u64::MAX { self } else { Self(self.0 - 1) }
     }
 }

@@ -20,7 +20,7 @@ use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, Frame, OperatorA
 use reveille_common::totals::Ledger;
 use reveille_common::units::Energy;
 use reveille_lab::external_inputs::{ExternalInput, ExternalInputs};
-use reveille_lab::replay::{DigestFrames, Divergence, Replay};
+use reveille_lab::replay::{DigestFrameEncoder, Divergence, Replay};
 
 use crate::cli::AuditArg;
 use crate::input_log::InputLog;
@@ -210,7 +210,7 @@ impl Auditor {
     /// Returns an observer that feeds the replay.
     pub(crate) fn observer(&self) -> AuditObserver {
         AuditObserver {
-            encoder: DigestFrames::default(),
+            encoder: DigestFrameEncoder::default(),
             frames: Vec::new(),
             sender: self.sender.clone(),
             backlog: Arc::clone(&self.backlog),
@@ -335,7 +335,7 @@ impl AuditThread {
 
 /// An observer that sends the run's frames to the replay.
 pub(crate) struct AuditObserver {
-    encoder: DigestFrames,
+    encoder: DigestFrameEncoder,
     frames: Vec<Frame>,
     sender: Option<Sender<AuditBatch>>,
     backlog: Arc<AuditBacklog>,
@@ -386,7 +386,7 @@ impl Observer for AuditObserver {
             self.send_frames(k);
         }
         if self.sender.is_some() {
-            self.frames.push(DigestFrames::batteries_frame(tti, batteries));
+            self.frames.push(DigestFrameEncoder::batteries_frame(tti, batteries));
         }
     }
 

@@ -109,7 +109,7 @@ pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String;
     let EventActivity {
         reports,
         wake_ups,
-        heard,
+        received_wake_ups,
         wrong_activations,
     } = record.activity;
     let class = scenario.classes.get(usize::from(record.class));
@@ -125,7 +125,7 @@ pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String;
         format_units(sums.overflow),
         reports.to_string(),
         wake_ups.to_string(),
-        heard.to_string(),
+        received_wake_ups.to_string(),
         wrong_activations.to_string(),
         sums.sensing_ttis.to_string(),
         sums.failed_ttis.to_string(),

@@ -161,7 +161,7 @@ impl SupervisorThread {
     /// The number of `waiting` processes that may start now.
     fn allowed_starts_now(&self, waiting: usize, slots: &[ProcessSlot]) -> usize {
         let living = slots.iter().filter(|slot| slot.child.is_some()).count();
-        let joined = self.progress.active_hosts.load(Ordering::Relaxed) as usize;
+        let joined = self.progress.active_host_count.load(Ordering::Relaxed) as usize;
         self.start_limiter.allowed_starts(waiting, living, joined)
     }
 

@@ -75,7 +75,7 @@ impl MetricEstimate {
     }
 
     /// Returns the 95 % limits of a metric that cannot be negative; zero and infinity if they are unknown.
-    pub fn ends(&self) -> (f64, f64) {
+    pub fn limits(&self) -> (f64, f64) {
         let Estimate { mean, half_width, .. } = self.estimate;
         match (self.upper_bound, self.lower_bound) {
             (Some(upper), _) => (0.0, upper),
@@ -161,7 +161,7 @@ fn bound_replacing_interval(
 
 impl CellRuns<'_> {
     /// Estimates a metric from the runs of the cell. Returns `None` without such a metric or run.
-    pub fn reading(&self, metric: &str) -> Option<MetricEstimate> {
+    pub fn metric_estimate(&self, metric: &str) -> Option<MetricEstimate> {
         MetricEstimate::from_rows(&self.rows, metric)
     }
 }
@@ -211,7 +211,7 @@ mod tests {
     fn no_case_gives_a_bound_instead_of_an_interval_of_width_0() {
         let none = estimate_of("misdetection_pct", &[0.0, 0.0, 0.0]);
         assert_eq!(none.case_counts, Some(CaseCounts { cases: 0, events: 3000 }));
-        assert_eq!((none.upper_bound, none.ends()), (Some(0.1), (0.0, 0.1)));
+        assert_eq!((none.upper_bound, none.limits()), (Some(0.1), (0.0, 0.1)));
         assert!((none.half_width() - 0.1).abs() < 1e-15);
         let one_run = estimate_of("wrong_activations_per_event", &[0.0]);
         assert_eq!(one_run.upper_bound, Some(0.003));
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn a_share_of_100_percent_has_a_lower_bound() {
         let all = estimate_of("misdetection_pct", &[100.0, 100.0]);
-        let (lower, mean) = all.ends();
+        let (lower, mean) = all.limits();
         assert!(all.upper_bound.is_none() && all.lower_bound == Some(lower));
         assert!((lower - 99.85).abs() < 1e-9 && (mean - 100.0).abs() < 1e-12, "{all:?}");
         assert!((all.half_width() - 0.15).abs() < 1e-9);
@@ -254,16 +254,16 @@ mod tests {
         );
         let one_run = estimate_of("misdetection_pct", &[0.3]);
         assert!((one_run.upper_bound.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
-        assert_eq!(one_run.ends().0.to_bits(), 0.0_f64.to_bits());
+        assert_eq!(one_run.limits().0.to_bits(), 0.0_f64.to_bits());
     }
 
     #[test]
     fn an_interval_above_0_is_not_changed() {
         let many_cases = estimate_of("misdetection_pct", &[30.0, 31.0, 32.0]);
         assert_eq!(many_cases.upper_bound, None);
-        assert_eq!(many_cases.ends(), many_cases.estimate.interval());
+        assert_eq!(many_cases.limits(), many_cases.estimate.interval());
         let one_run = estimate_of("misdetection_pct", &[33.0]);
-        assert_eq!((one_run.upper_bound, one_run.ends()), (None, (0.0, f64::INFINITY)));
+        assert_eq!((one_run.upper_bound, one_run.limits()), (None, (0.0, f64::INFINITY)));
         let difference = estimate_of("net_per_device_tti", &[0.01, -0.01, 0.02]);
         assert_eq!(difference.upper_bound, None, "a difference may be negative");
         let wide = estimate_of("low_energy_pct", &[0.0, 0.03]);
@@ -286,9 +286,15 @@ mod tests {
     fn a_cell_estimates_metrics_from_its_runs() {
         let table = fixtures::table();
         let cells = group_by_cell(&table);
-        assert_eq!(cells[0].reading("info_per_event"), None, "undefined in both runs");
         assert_eq!(
-            cells[0].reading("info_p1").map(|estimate| estimate.estimate.runs),
+            cells[0].metric_estimate("info_per_event"),
+            None,
+            "undefined in both runs"
+        );
+        assert_eq!(
+            cells[0]
+                .metric_estimate("info_p1")
+                .map(|estimate| estimate.estimate.runs),
             Some(2)
         );
     }

@@ -1,13 +1,13 @@
 //! A replay: a run in memory that follows a run over the bus, from the scenario and the external inputs alone. It
 //! restores the devices of a lost process, and it audits the run: an audit compares a run over the bus with its replay,
-//! frame by frame. `deploy/src/audit.rs` feeds it with the frames of [`DigestFrames`]. Both runs must encode the same
-//! frames in the same order.
+//! frame by frame. `deploy/src/audit.rs` feeds it with the frames of [`DigestFrameEncoder`]. Both runs must encode the
+//! same frames in the same order.
 
 use std::collections::VecDeque;
 use std::fmt;
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
-use reveille_bs::observer::frames::Frames;
+use reveille_bs::observer::frames::FrameEncoder;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{DeviceCheckpoint, DeviceStates, Frame, Message};
@@ -21,9 +21,9 @@ use crate::run::{Run, RunOptions};
 /// Encodes the notifications that a digest covers, messages on the air and their outcomes, as frames. The fingerprint
 /// of resume marks covers the same frames: a change here needs a new `VERSION` in `resume_mark`.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct DigestFrames(Frames);
+pub struct DigestFrameEncoder(FrameEncoder);
 
-impl DigestFrames {
+impl DigestFrameEncoder {
     /// Encodes the `batteries` that a policy receives before it decides TTI `tti`. A digest covers the decisions but
     /// not the batteries. This frame exposes a host that reports wrong ones, and names the device.
     pub fn batteries_frame(tti: Tti, batteries: &[Energy]) -> Frame {
@@ -90,7 +90,7 @@ pub struct Replay {
 /// The frames of a replay that are not compared yet.
 #[derive(Default)]
 struct UncomparedFrames {
-    encoder: DigestFrames,
+    encoder: DigestFrameEncoder,
     /// The frames for which the run has no counterpart yet.
     queue: VecDeque<Frame>,
     /// The number of frames that were compared and equal.
@@ -117,7 +117,7 @@ impl Observer for UncomparedFrames {
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.add(DigestFrames::batteries_frame(tti, batteries));
+        self.add(DigestFrameEncoder::batteries_frame(tti, batteries));
     }
 }
 

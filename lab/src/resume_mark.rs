@@ -1,7 +1,7 @@
 //! The resume mark of a run (`resume.json`): a TTI, and a fingerprint of everything before it.
 //!
 //! A resumed run is replayed in memory up to that TTI and must reach the same fingerprint. The fingerprint covers the
-//! frames of [`DigestFrames`] in their order; a change of it or of the fields needs a new `VERSION`.
+//! frames of [`DigestFrameEncoder`] in their order; a change of it or of the fields needs a new `VERSION`.
 
 use std::fmt::Write as _;
 
@@ -14,7 +14,7 @@ use reveille_common::score::DIGEST_VERSION;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use crate::replay::DigestFrames;
+use crate::replay::DigestFrameEncoder;
 
 const VERSION: u32 = 1;
 
@@ -82,7 +82,7 @@ impl ResumeMark {
 /// Follows a run from TTI 0 and computes its current mark.
 #[derive(Clone)]
 pub struct ResumeTracker {
-    encoder: DigestFrames,
+    encoder: DigestFrameEncoder,
     hash_so_far: Sha256,
     /// The hash of everything before `next_tti`; a run may end in the middle of a TTI.
     hash_before_next: Sha256,
@@ -99,7 +99,7 @@ impl ResumeTracker {
     /// `expected`.
     pub fn new(scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
         Self {
-            encoder: DigestFrames::default(),
+            encoder: DigestFrameEncoder::default(),
             hash_so_far: Sha256::new(),
             hash_before_next: Sha256::new(),
             scenario_hash: scenario.hash_hex(),

@@ -5,7 +5,7 @@
 use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome, WakeOrder};
 use reveille_bs::observer::Observer;
 use reveille_bs::policy::external::{Decision, DecisionStage};
-use reveille_bs::session::{Action, ActionResult, Gathered, InputQueue, Session};
+use reveille_bs::session::{Action, ActionResult, GrantAnswers, InputQueue, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
     Change, DeviceCheckpoint, DeviceRange, FailedTransmission, GrantMessage, HostCheckpoint, PlanUpdate, Report,
@@ -259,8 +259,8 @@ impl Run {
                 }
             }
             Action::Gather => {
-                let gathered = devices.gather(session.grant_message(), session.cycle().detectors());
-                session.apply_result(ActionResult::Gathered(gathered), observer);
+                let answers = devices.gather(session.grant_message(), session.cycle().detectors());
+                session.apply_result(ActionResult::GrantAnswers(answers), observer);
             }
             Action::Wake(order) => {
                 let outcome = devices.wake(&order);
@@ -328,7 +328,7 @@ impl Devices {
         reason = "the one call is in every grant; `#[inline]` alone leaves it a call"
     )]
     #[inline(always)]
-    fn gather(&mut self, grant: &GrantMessage, detectors: &[DeviceId]) -> Gathered<'_> {
+    fn gather(&mut self, grant: &GrantMessage, detectors: &[DeviceId]) -> GrantAnswers<'_> {
         self.reports.clear();
         self.failures.clear();
         self.views.clear();
@@ -343,14 +343,14 @@ impl Devices {
                 }
             }
         }
-        if grant.views {
+        if grant.wants_views {
             let machines = self.machines.iter_mut();
             self.views.extend(machines.map(|machine| {
                 machine.begin(grant.last);
                 machine.view()
             }));
         }
-        Gathered {
+        GrantAnswers {
             reports: &mut self.reports,
             failures: &mut self.failures,
             unpowered,

@@ -1,6 +1,6 @@
 //! The names of runs in figures, reports and tables for people: a series is a policy, with its ranking where needed.
 //! The figures of `study` and the report of `reveille sweep` use them. Result tables keep policy and ranking apart.
-//! [`policy`] splits the names that [`name`] joins, and the CSV files of figures contain them.
+//! [`split_policy`] splits the names that [`join_name`] joins, and the CSV files of figures contain them.
 //!
 //! Some policies can rank wake-up candidates in several ways; others always use one ranking. To compare like with like,
 //! a series is a policy with its ranking wherever several rankings are shown together.
@@ -18,7 +18,7 @@ const SEPARATOR: char = '+';
 
 /// Returns the name of the runs of `policy` with `ranking`, next to runs of other rankings: `knn+posterior`. It is the
 /// policy's name for the ranking by P_4,2 of the paper, and for policies that ignore the field.
-pub fn name(policy: &str, ranking: &str) -> String {
+pub fn join_name(policy: &str, ranking: &str) -> String {
     // A policy unknown to this program may use the field, so its ranking is named.
     let ranks = registry::named(policy).is_none_or(|entry| entry.heeds_ranking);
     if ranks && !is_paper_ranking(ranking) {
@@ -34,7 +34,7 @@ pub fn is_paper_ranking(ranking: &str) -> bool {
 }
 
 /// Splits off the policy of a series, and returns whether a ranking follows.
-pub fn policy(series: &str) -> (&str, bool) {
+pub fn split_policy(series: &str) -> (&str, bool) {
     match series.split_once(SEPARATOR) {
         Some((policy, _)) => (policy, true),
         None => (series, false),
@@ -73,7 +73,7 @@ impl SeriesNames {
     pub fn name(self, row: &ResultRow) -> String {
         self.ranking_column.map_or_else(
             || row.policy.to_string(),
-            |column| name(&row.policy, &row.swept[column].to_string()),
+            |column| join_name(&row.policy, &row.swept[column].to_string()),
         )
     }
 
@@ -162,8 +162,8 @@ mod tests {
         let labels: Vec<String> = two_rankings.rows.iter().map(|row| names.name(row)).collect();
         assert_eq!(labels, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
         assert_eq!(names.ranking_column(), Some(1));
-        assert_eq!(policy("knn+posterior"), ("knn", true));
-        assert_eq!(policy("q-learning"), ("q-learning", false));
+        assert_eq!(split_policy("knn+posterior"), ("knn", true));
+        assert_eq!(split_policy("q-learning"), ("q-learning", false));
         let one_ranking = table_of(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
         assert_eq!(
             (

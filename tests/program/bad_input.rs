@@ -299,7 +299,7 @@ fn an_endpoint_without_a_listener_is_reported() {
 #[test]
 fn a_wrong_run_name_lists_the_runs() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("right"), free_endpoint());
-    let _bs = folder.waiting_bs(&run, &endpoint, "");
+    let _bs = folder.start_waiting_bs(&run, &endpoint, "");
     let hint = format!("runs there: {run}");
     let end = folder.run(&format!("device --connect {endpoint} --run wrong --connect-timeout 2s"));
     assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
@@ -322,7 +322,9 @@ fn inspecting_without_a_run_is_an_error() {
 #[test]
 fn two_runs_on_this_machine_need_a_name() {
     let (folder, runs) = (TestFolder::new(), [unique_run("one"), unique_run("two")]);
-    let _bs = runs.each_ref().map(|run| folder.waiting_bs(run, &free_endpoint(), ""));
+    let _bs = runs
+        .each_ref()
+        .map(|run| folder.start_waiting_bs(run, &free_endpoint(), ""));
     for run in &runs {
         folder.wait_for_clock(run);
     }
@@ -332,7 +334,7 @@ fn two_runs_on_this_machine_need_a_name() {
 #[test]
 fn too_few_joined_devices_end_the_run() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("few"), free_endpoint());
-    let bs = folder.waiting_bs(&run, &endpoint, "--join-timeout 1s --out out");
+    let bs = folder.start_waiting_bs(&run, &endpoint, "--join-timeout 1s --out out");
     let end = bs.finish();
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(end.stderr.contains("only 0 of 30 devices joined within 1 s"), "{end}");
@@ -343,7 +345,7 @@ fn too_few_joined_devices_end_the_run() {
 #[test]
 fn a_surplus_device_is_refused_under_on_loss_end() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("full"), free_endpoint());
-    let _bs = folder.waiting_bs(&run, &endpoint, "--paused --on-loss end");
+    let _bs = folder.start_waiting_bs(&run, &endpoint, "--paused --on-loss end");
     let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 30"));
     host.wait_for_stderr("joined");
     let end = folder.run(&format!("device --connect {endpoint} --run {run}"));

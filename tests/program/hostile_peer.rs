@@ -43,13 +43,13 @@ async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     let JoinReply::Welcome(assignment) = reply else {
         panic!("{reply:?}")
     };
-    let BusCredentials { pass, secret } = assignment.membership;
+    let BusCredentials { credential, secret } = assignment.credentials;
     let bus = bus.with_secret(secret);
     drop(
-        bus.declare_alive(bus.key_exprs().host_liveliness(pass))
+        bus.declare_alive(bus.key_exprs().host_liveliness(credential))
             .expect("declared"),
     );
-    (bus, pass)
+    (bus, credential)
 }
 
 /// Starts a paused run of 30 devices with two device processes. Returns the base station, the device processes, and the
@@ -77,7 +77,7 @@ async fn start_run_with_revoked_host(
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_join_request_of_another_version_or_format_is_refused() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("version"), free_endpoint());
-    let _bs = folder.waiting_bs(&run, &endpoint, "");
+    let _bs = folder.start_waiting_bs(&run, &endpoint, "");
     let bus = connect_peer(&endpoint, &run).await;
     let request = JoinRequest {
         version: "0.0.9".to_owned(),
@@ -187,17 +187,17 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
             event: EventId(1),
             epicentre: Point::new(5.0, 5.0),
         });
-        let (first, last, plan) = (Tti(first), Tti(last), Tti(0));
+        let (first, last) = (Tti(first), Tti(last));
         ClockMessage::Grant(GrantMessage {
             first,
             last,
             stimulus,
             until: last,
-            account: true,
-            views: false,
-            plan,
-            plans: 0,
-            changes: 0,
+            wants_totals: true,
+            wants_views: false,
+            plan_from: Tti(0),
+            plan_count: 0,
+            change_count: 0,
         })
     };
     [

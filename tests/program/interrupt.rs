@@ -99,7 +99,7 @@ fn a_sweep_in_preparation_ends_promptly_and_keeps_finished_runs() {
     let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {HOURS_LONG_SEARCH} --out s");
     let sweep = folder.start(&args);
     wait_until("the three runs of genie", PATIENCE, || {
-        (folder.journal_lines("s") == 3).then_some(())
+        (folder.count_finished_runs("s") == 3).then_some(())
     });
     sweep.wait_for_work();
     sweep.signal(Signal::INT);

@@ -6,7 +6,7 @@ use std::fs;
 use std::process::Command;
 use std::time::Duration;
 
-use reveille_tests::machine::{FewPorts, Mount, skipped};
+use reveille_tests::machine::{FewPorts, Mount, print_skipped};
 use reveille_tests::process::{
     FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, reveille, unique_run,
 };
@@ -106,7 +106,7 @@ fn a_lack_of_ports_is_reported_promptly() {
     let folder = TestFolder::new();
     // One port for the base station, and some for the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
-        skipped("cannot create a separate network here (root is needed)");
+        print_skipped("cannot create a separate network here (root is needed)");
         return;
     };
     let mut up = network.command(reveille());
@@ -130,7 +130,7 @@ fn a_read_only_folder_is_named() {
     fs::create_dir(folder.join("disk")).expect("possible");
     let path = folder.join("disk");
     let Some(_disk) = Mount::read_only(&path) else {
-        skipped("cannot mount a folder read-only here (root is needed)");
+        print_skipped("cannot mount a folder read-only here (root is needed)");
         return;
     };
     for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
@@ -144,7 +144,7 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     let folder = TestFolder::new();
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
-        skipped("cannot mount a small tmpfs here (root is needed)");
+        print_skipped("cannot mount a small tmpfs here (root is needed)");
         return;
     };
     let expected = folder.summary("run -n 20 -k 400");

@@ -52,7 +52,7 @@ async fn a_repeated_answer_counts_once() {
     rogue
         .serve(|port_request, asked| {
             for _ in 0..2 {
-                send_reply(port_request, &rogue.idle(asked));
+                send_reply(port_request, &rogue.idle_answer(asked));
             }
             asked["tti"] != LAST_TTI
         })
@@ -78,7 +78,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         let mut refusals_received = 0;
         rogue
             .serve(|port_request, asked| {
-                let mut answer = rogue.idle(asked);
+                let mut answer = rogue.idle_answer(asked);
                 corrupt(&mut answer);
                 send_reply(port_request, &answer);
                 refusals_received += u32::from(asked["refused"].is_string());
@@ -112,7 +112,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         let rogue = MisbehavingPolicy::at(&run).await;
         rogue
             .serve(|port_request, asked| {
-                act(port_request, rogue.idle(asked));
+                act(port_request, rogue.idle_answer(asked));
                 true
             })
             .await;
@@ -127,7 +127,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
     let rogue = MisbehavingPolicy::at(&run).await;
     rogue
         .serve(|port_request, asked| {
-            let mut answer = rogue.idle(asked);
+            let mut answer = rogue.idle_answer(asked);
             if asked["tti"] == 50 {
                 // The next plan must begin after this TTI.
                 answer["next"] = json!(3);
@@ -159,7 +159,7 @@ async fn a_late_answer_does_not_count_for_another_request() {
             }
             // The query of a late answer has timed out, so its reply may fail.
             let _timed_out = port_request
-                .reply(rogue.idle(asked).to_string().into_bytes(), Encoding::Json)
+                .reply(rogue.idle_answer(asked).to_string().into_bytes(), Encoding::Json)
                 .is_err();
             asked["tti"] != LAST_TTI
         })

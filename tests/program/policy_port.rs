@@ -17,7 +17,7 @@ use reveille_common::scenario::{Override, load};
 use reveille_lab::external_inputs::{ExternalInput, first_line, line};
 use reveille_tests::external_policy::{ExternallyDecidedRun, MAY_WAKE, SHORT_RUN, answer, run_built_in};
 use reveille_tests::process::{
-    PATIENCE, Process, SummaryJson, TestFolder, hosts_of, lives, send_signal, unique_run, wait_until,
+    PATIENCE, Process, SummaryJson, TestFolder, hosts_of, is_alive, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
@@ -321,7 +321,7 @@ fn a_policy_command_and_its_run_end_together() {
     let (run, policy) = start_with_silent_policy(&folder, "sleeps", "exec sleep 1000");
     run.signal(Signal::INT);
     assert_eq!(run.finish().code(), Some(130));
-    assert!(!lives(policy), "process {policy} is still alive");
+    assert!(!is_alive(policy), "process {policy} is still alive");
 }
 
 /// Neither a policy command that ignores signals nor its children outlive a killed base station.
@@ -332,7 +332,7 @@ fn a_policy_command_does_not_outlive_its_base_station() {
     for (name, signal) in [("killed", Signal::KILL), ("interrupted", Signal::INT)] {
         let (run, policy) = start_with_silent_policy(&folder, name, stubborn);
         let child = read_pid(&folder, "child");
-        assert!(lives(policy) && lives(child));
+        assert!(is_alive(policy) && is_alive(child));
         run.signal(signal);
         if signal == Signal::INT {
             run.wait_for_stderr("interrupted");
@@ -340,7 +340,7 @@ fn a_policy_command_does_not_outlive_its_base_station() {
         }
         assert!(!run.finish().is_success());
         wait_until("the command and its child to end", PATIENCE, || {
-            (!lives(policy) && !lives(child)).then_some(())
+            (!is_alive(policy) && !is_alive(child)).then_some(())
         });
     }
 }
@@ -359,7 +359,7 @@ fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
     run.signal(Signal::KILL);
     run.finish();
     wait_until("the command and its child to end", PATIENCE, || {
-        (!lives(policy) && !lives(child)).then_some(())
+        (!is_alive(policy) && !is_alive(child)).then_some(())
     });
     assert!(folder.list("").contains(&"saved".to_owned()));
 }

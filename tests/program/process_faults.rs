@@ -294,27 +294,27 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
     let JoinReply::Welcome(assignment) = reply else {
         panic!("{reply:?}")
     };
-    let membership = assignment.membership;
-    let pass = membership.pass;
-    let bus = bus.with_secret(membership.secret);
+    let credentials = assignment.credentials;
+    let credential = credentials.credential;
+    let bus = bus.with_secret(credentials.secret);
     let (grant_sender, messages) = std::sync::mpsc::channel();
     let plan_sender = grant_sender.clone();
     let _plan = bus
-        .subscribe(pass.host, move |_: PlanUpdate| {
+        .subscribe(credential.host, move |_: PlanUpdate| {
             let _closed = plan_sender.send("plan");
         })
         .expect("subscribed");
     let _clock = bus
-        .subscribe(pass.host, move |_: ClockMessage| {
+        .subscribe(credential.host, move |_: ClockMessage| {
             let _closed = grant_sender.send("grant");
         })
         .expect("subscribed");
     let _alive = bus
-        .declare_alive(bus.key_exprs().host_liveliness(pass))
+        .declare_alive(bus.key_exprs().host_liveliness(credential))
         .expect("declared");
-    let ready = Ready { host: pass.host };
+    let ready = Ready { host: credential.host };
     let is_accepted = bus
-        .query_until(&ready, Some(pass.token), PATIENCE)
+        .query_until(&ready, Some(credential.token), PATIENCE)
         .await
         .expect("a reply");
     assert_eq!(is_accepted, Some(true));

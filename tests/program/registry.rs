@@ -4,7 +4,7 @@
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
-use reveille_tests::machine::skipped;
+use reveille_tests::machine::print_skipped;
 use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, free_endpoint, unique_run, wait_until};
 use rustix::process::{Signal, getuid};
 
@@ -105,7 +105,7 @@ fn a_link_or_file_as_registry_is_not_trusted() {
 #[test]
 fn a_registry_of_another_user_is_not_trusted() {
     if !getuid().is_root() {
-        skipped("cannot give a folder to another user here (root is needed)");
+        print_skipped("cannot give a folder to another user here (root is needed)");
         return;
     }
     let folder = TestFolder::new();

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use reveille_common::score::Metrics;
-use reveille_tests::machine::{Mount, skipped};
+use reveille_tests::machine::{Mount, print_skipped};
 use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -151,12 +151,12 @@ fn a_killed_sweep_resumes_with_the_same_table() {
         let sweep = folder.start(&format!("sweep {grid} --threads 2 --out killed"));
         wait_until("the sweep to finish runs", PATIENCE, || {
             let is_there = folder.join("killed/runs.journal").exists();
-            (is_there && folder.journal_lines("killed") >= (found + more_runs).min(RUNS)).then_some(())
+            (is_there && folder.count_finished_runs("killed") >= (found + more_runs).min(RUNS)).then_some(())
         });
         std::thread::sleep(delay);
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = folder.journal_lines("killed");
+        let lines = folder.count_finished_runs("killed");
         println!("kill {kill}: {delay:?} after {more_runs} more runs than {found}, at {lines}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;
@@ -455,7 +455,7 @@ fn a_full_disk_loses_no_finished_run() {
     let expected = sweep_table(&folder, GRID, "elsewhere");
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
-        skipped("cannot mount a small tmpfs here (root is needed)");
+        print_skipped("cannot mount a small tmpfs here (root is needed)");
         return;
     };
     let ballast = path.join("ballast");
@@ -472,7 +472,7 @@ fn a_full_disk_loses_no_finished_run() {
             "give the same command again",
         ],
     );
-    let kept = folder.journal_lines("disk/s");
+    let kept = folder.count_finished_runs("disk/s");
     assert!(kept > 20 && kept < RUNS, "{kept} runs fit on the disk");
     fs::remove_file(&ballast).expect("there");
     let end = folder.run(&format!("sweep {GRID} --out disk/s"));

@@ -4,7 +4,7 @@
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::machine::{Mount, skipped};
+use reveille_tests::machine::{Mount, print_skipped};
 use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -86,9 +86,9 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
     assert!(folder.run("report whole --out b").is_success());
     for (args, out) in [("--shard 1/2", "s1"), ("", "whole")] {
         let sweep = folder.start(&format!("sweep {GRID} --seeds 100000 {args} --out {out}"));
-        let before = folder.journal_lines(out);
+        let before = folder.count_finished_runs(out);
         wait_until("runs of the new seeds", PATIENCE, || {
-            (folder.journal_lines(out) > before).then_some(())
+            (folder.count_finished_runs(out) > before).then_some(())
         });
         sweep.signal(Signal::KILL);
         sweep.finish();
@@ -159,7 +159,7 @@ fn a_full_disk_while_seeds_are_added_leaves_the_folder_unchanged() {
     let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "fresh");
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
-        skipped("cannot mount a small tmpfs here (root is needed)");
+        print_skipped("cannot mount a small tmpfs here (root is needed)");
         return;
     };
     sweep_table(&folder, &format!("{GRID} --seeds 10"), "disk/s");
@@ -274,7 +274,7 @@ fn shards_with_more_seeds_equal_a_fresh_sweep() {
     for index in 1..=3 {
         let (shard, out) = (format!("--shard {index}/3"), format!("s{index}"));
         sweep_table(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
-        let lines = folder.journal_lines(&out);
+        let lines = folder.count_finished_runs(&out);
         assert!((12..=14).contains(&lines), "{lines} runs in a third of 40");
         let (_, found) = sweep_table(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
         assert_eq!(found as usize, lines, "a run stays in its shard");
@@ -299,7 +299,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
             .next()
             .map(str::to_owned)
     };
-    let mut found = folder.journal_lines("s");
+    let mut found = folder.count_finished_runs("s");
     for kill in 1..=10_u64 {
         let before = first_line();
         let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + kill));
@@ -313,7 +313,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
         }
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = folder.journal_lines("s");
+        let lines = folder.count_finished_runs("s");
         println!("kill {kill}: {lines} runs after {found}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;

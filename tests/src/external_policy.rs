@@ -16,8 +16,8 @@ use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoi
 use crate::scenarios::paper;
 use crate::transcript::CommandTranscript;
 
-/// Options of a short run with 30 devices and 400 TTIs. [`run_built_in`] and [`TestFolder::waiting_bs`] repeat these
-/// numbers.
+/// Options of a short run with 30 devices and 400 TTIs. [`run_built_in`] and [`TestFolder::start_waiting_bs`] repeat
+/// these numbers.
 pub const SHORT_RUN: &str = "-n 30 -k 400";
 
 /// Runs `policy` in memory, on the scenario of [`SHORT_RUN`] with `fields` overridden, and returns its transcript and
@@ -165,7 +165,7 @@ impl MisbehavingPolicy {
     }
 
     /// Returns the answer in which no device senses and none is woken.
-    pub fn idle(&self, request: &Value) -> Value {
+    pub fn idle_answer(&self, request: &Value) -> Value {
         let decision_field = if request["stage"] == "plan" { "sense" } else { "wake" };
         let mut answer = json!({
             "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": request["stage"],

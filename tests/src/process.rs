@@ -156,7 +156,7 @@ impl TestFolder {
     }
 
     /// Starts a base station with a run of 30 devices and 400 TTIs, and waits until device processes can join.
-    pub fn waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
+    pub fn start_waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
         let bs = self.start(&format!("bs -n 30 -k 400 --run {run} --listen {endpoint} {args}"));
         bs.wait_for_stderr("waiting for 30 devices");
         bs
@@ -171,7 +171,7 @@ impl TestFolder {
     }
 
     /// Counts the finished runs in the journal of the sweep in subfolder `out`.
-    pub fn journal_lines(&self, out: &str) -> usize {
+    pub fn count_finished_runs(&self, out: &str) -> usize {
         let text = fs::read_to_string(self.join(&format!("{out}/runs.journal"))).unwrap_or_default();
         // The first line names the sweep.
         text.matches('\n').count().saturating_sub(1)
@@ -544,7 +544,7 @@ pub fn send_signal(pid: u32, signal: Signal) {
 }
 
 /// Whether a process is alive. A zombie process is not.
-pub fn lives(pid: u32) -> bool {
+pub fn is_alive(pid: u32) -> bool {
     fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| !line.is_empty())
 }
 

@@ -98,7 +98,7 @@ pub fn small() -> impl Strategy<Value = String> {
 
 /// Generates a small scenario with the policy `name` and a perfect radio. Only the policies of [`small`] have drawn
 /// settings.
-pub fn under(name: &'static str) -> impl Strategy<Value = String> {
+pub fn small_with_policy(name: &'static str) -> impl Strategy<Value = String> {
     (run_fields(), deployment(), events(), policy(), energy_and_harvest()).prop_map(
         move |(run, deployment, events, policy, energy)| {
             // The first two lines are `[policy]` and the drawn name.

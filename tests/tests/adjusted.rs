@@ -175,7 +175,7 @@ fn the_search_chooses_the_pair_of_the_reference() {
     let mut runner = TestRunner::deterministic();
     let (mut compared, mut with_several_pairs, mut reaching_i_min) = (0, 0, 0);
     for _ in 0..80 {
-        let text = scenarios::under("adjusted")
+        let text = scenarios::small_with_policy("adjusted")
             .new_tree(&mut runner)
             .expect("a scenario")
             .current();

@@ -107,7 +107,7 @@ proptest! {
 
     #[test]
     fn plans_equal_the_plans_of_the_reference(
-        text in scenarios::under("age-index"),
+        text in scenarios::small_with_policy("age-index"),
         price in prop_oneof![Just(0.0), 0.01..3.0f64, Just(300.0)],
     ) {
         let text = format!("{text}[policy.age-index]\nprice = {price:?}\n");

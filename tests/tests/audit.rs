@@ -8,7 +8,7 @@ use reveille_common::message::{DeviceStates, Frame, Message, MessageKind, Report
 use reveille_common::units::Energy;
 use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare;
-use reveille_lab::replay::{DigestFrames, Divergence, Replay};
+use reveille_lab::replay::{DigestFrameEncoder, Divergence, Replay};
 use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::scenarios::paper;
 
@@ -25,7 +25,7 @@ fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
 /// Frames of a run, as the base station passes them to the audit.
 #[derive(Default)]
 struct FrameRecorder {
-    encoder: DigestFrames,
+    encoder: DigestFrameEncoder,
     frames: Vec<Frame>,
 }
 
@@ -36,7 +36,7 @@ impl Observer for FrameRecorder {
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.frames.push(DigestFrames::batteries_frame(tti, batteries));
+        self.frames.push(DigestFrameEncoder::batteries_frame(tti, batteries));
     }
 }
 

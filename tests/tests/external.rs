@@ -171,7 +171,7 @@ fn request_text(request: &DecisionContext<'_>) -> String {
     let messages = String::from_utf8(Encoding::Json.encode(&messages)).expect("JSON");
     format!(
         "{messages} {state:?} {:?} {:?} {:?} {devices:?} {features:?}",
-        seen.batteries, request.heard, request.woken
+        seen.batteries, request.reports, request.woken
     )
 }
 
@@ -236,7 +236,7 @@ fn invalid_wake_ups_and_plans_are_corrected() {
                     .copied()
                     .filter(|j| !request.observation.is_asleep(*j))
                     .collect();
-                assert!(request.heard.iter().all(|report| report.tti == k));
+                assert!(request.reports.iter().all(|report| report.tti == k));
                 let wakeable = all_devices.iter().copied().filter(|j| request.may_wake(*j));
                 let valid: Vec<DeviceId> = wakeable.take(2).collect();
                 let is_valid = |j: &DeviceId| !awake.contains(j) && !woken_before.contains(j);

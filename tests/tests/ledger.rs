@@ -45,7 +45,7 @@ proptest! {
     }
 
     #[test]
-    fn under_knn_one_member_of_each_cluster_senses(text in scenarios::under("knn")) {
+    fn under_knn_one_member_of_each_cluster_senses(text in scenarios::small_with_policy("knn")) {
         let scenario = scenarios::scenario(&text);
         let clusters = knn_clusters(&scenario);
         prop_assert_eq!(clusters.iter().map(Vec::len).sum::<usize>(), scenario.run.devices as usize);

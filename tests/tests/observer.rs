@@ -69,7 +69,7 @@ async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, hosts: 
                 key: None,
                 patience: PATIENCE,
                 stands_by: false,
-                uses_worker: false,
+                forces_worker: false,
             };
             run_host(&host_bus, config, &|_| {}).await
         });

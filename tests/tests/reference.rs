@@ -31,8 +31,8 @@ proptest! {
         let ledgers = compare::ledgers(&scenario, RunOptions { lookahead, ..RunOptions::default() });
         prop_assert_eq!(ledgers, expected.ledgers.clone(), "ledgers\n{}", text);
         let activity = outcome.devices.iter().map(|device| {
-            let EventActivity { reports, wake_ups, heard, wrong_activations } = device.activity;
-            [reports, wake_ups, heard, wrong_activations]
+            let EventActivity { reports, wake_ups, received_wake_ups, wrong_activations } = device.activity;
+            [reports, wake_ups, received_wake_ups, wrong_activations]
         });
         prop_assert_eq!(activity.collect::<Vec<_>>(), expected.activity.clone(), "activity of devices\n{}", text);
         prop_assert_eq!(outcome.totals.energy, expected.measured, "measured energy\n{}", text);

@@ -5,7 +5,7 @@ use std::cell::Cell;
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
-use reveille_bs::session::{Action, ActionResult, Gathered, Session};
+use reveille_bs::session::{Action, ActionResult, GrantAnswers, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::DeviceRemoval;
 use reveille_common::radio::Air;
@@ -111,7 +111,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
             Action::Remove(removal) => panic!("no removal is queued: {removal:?}"),
             Action::Grant { updates, .. } => {
                 let grant = *session.grant_message();
-                let totals = grant.account.then(|| {
+                let totals = grant.wants_totals.then(|| {
                     advance(&mut machines, grant.first);
                     machines.iter().map(Machine::totals).sum::<DeviceTotals>()
                 });
@@ -133,8 +133,8 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                     machine.begin(grant.last);
                 }
                 let views: Vec<DeviceView> = machines.iter().map(Machine::view).collect();
-                assert!(grant.views, "the observer wants states");
-                let gathered = Gathered {
+                assert!(grant.wants_views, "the observer wants states");
+                let answers = GrantAnswers {
                     reports: &mut reports,
                     failures: &mut failures,
                     unpowered,
@@ -143,7 +143,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                 if let Some(totals) = totals {
                     session.apply_result(ActionResult::Totals(totals), &mut recorder);
                 }
-                session.apply_result(ActionResult::Gathered(gathered), &mut recorder);
+                session.apply_result(ActionResult::GrantAnswers(answers), &mut recorder);
             }
             Action::Gather => unreachable!("the answers came with the grant"),
             Action::Wake(order) => {
@@ -256,11 +256,11 @@ impl Observer for WakeUpRecorder {
 #[should_panic(expected = "no action of phase Between has reports as its result")]
 fn a_result_that_fits_no_action_is_refused() {
     let mut session = Session::new(&prepared("knn"), u64::MAX);
-    let no_answers = Gathered {
+    let no_answers = GrantAnswers {
         reports: &mut [],
         failures: &mut [],
         unpowered: 0,
         views: &[],
     };
-    session.apply_result(ActionResult::Gathered(no_answers), &mut ());
+    session.apply_result(ActionResult::GrantAnswers(no_answers), &mut ());
 }

@@ -39,7 +39,7 @@ pub struct DeviceMirror {
     radio: RadioSettings,
     air: Air,
     /// Number of devices that missed the last plan.
-    missed_plans: u64,
+    devices_without_plan: u64,
     plan: Option<Plan>,
     /// The latest grant; `None` before the first one.
     grant: Option<WorldUpdate>,
@@ -79,7 +79,7 @@ impl DeviceMirror {
                 .collect(),
             radio: scenario.radio,
             air: Air::new(scenario.run.seed, &scenario.radio),
-            missed_plans: 0,
+            devices_without_plan: 0,
             physics,
             plan: None,
             grant: None,
@@ -105,12 +105,12 @@ impl DeviceMirror {
     }
 
     /// Number of devices that missed the last plan.
-    pub const fn missed_plans(&self) -> u64 {
-        self.missed_plans
+    pub const fn devices_without_plan(&self) -> u64 {
+        self.devices_without_plan
     }
 
     /// Number of devices that could not pay for sensing the event in the current TTI.
-    pub const fn unpowered(&self) -> u64 {
+    pub const fn unpowered_count(&self) -> u64 {
         self.unpowered.len() as u64
     }
 
@@ -276,7 +276,7 @@ impl DeviceMirror {
         let now = self.current_tti();
         let Self { air, machines, .. } = self;
         let (from, count) = (update.from, machines.len());
-        self.missed_plans = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
+        self.devices_without_plan = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
             // A new duty cycle ends the current TTI, which is begun first, so that its state stays visible.
             if let Some(now) = now {
                 begin(&mut machines[j], now);

@@ -184,7 +184,7 @@ mod tests {
             information: 0.1 + 0.2,
             battery: Energy::from_micro(123_456_789),
         };
-        let answer = HostAnswer::NotWoken {
+        let answer = HostAnswer::NoReport {
             device: DeviceId(4),
             tti,
             outcome: WakeOutcome::Missed,

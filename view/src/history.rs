@@ -25,7 +25,7 @@ pub struct RunHistory {
     frames: VecDeque<Frame>,
     /// Number of the first stored frame, counted from the start of the run.
     first_frame: u64,
-    snapshots: VecDeque<HistorySnapshot>,
+    snapshots: VecDeque<ResumeSnapshot>,
     now: Reconstruction,
     /// Messages of the current TTI, without device states.
     latest: TtiSnapshot,
@@ -35,7 +35,7 @@ pub struct RunHistory {
 
 /// Snapshot of a run, from which later TTIs can be computed.
 #[derive(Clone, Debug)]
-pub struct HistorySnapshot {
+pub struct ResumeSnapshot {
     /// The next TTI after the snapshot. No device is past it.
     next_tti: Tti,
     /// Number of the next frame after the snapshot.
@@ -46,7 +46,7 @@ pub struct HistorySnapshot {
 /// A copy of the part of a history that some TTIs need, so that they can be computed without the history.
 #[derive(Debug)]
 pub struct HistorySpan {
-    snapshot: HistorySnapshot,
+    snapshot: ResumeSnapshot,
     /// The frames after the snapshot, without the emulation plane, each with its number.
     frames: Vec<(u64, Frame)>,
     from: Tti,
@@ -80,7 +80,7 @@ impl RunHistory {
     /// Creates the history of a run of `scenario` before TTI 0. It keeps at least the last `max_ttis` TTIs.
     pub fn new(scenario: &Scenario, max_ttis: u64) -> Self {
         let now = Reconstruction::new(scenario);
-        let start = HistorySnapshot {
+        let start = ResumeSnapshot {
             next_tti: Tti::ZERO,
             next_frame: 0,
             run: now.clone(),
@@ -103,9 +103,9 @@ impl RunHistory {
         let next = self.now.mirror().next_tti();
         let is_between_grants = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
         // Saved only between two grants, where no report or outcome is outstanding.
-        let is_due = |snapshot: &HistorySnapshot| next - snapshot.next_tti >= MIN_SNAPSHOT_SPACING;
+        let is_due = |snapshot: &ResumeSnapshot| next - snapshot.next_tti >= MIN_SNAPSHOT_SPACING;
         if is_between_grants && self.snapshots.back().is_none_or(is_due) {
-            self.snapshots.push_back(HistorySnapshot {
+            self.snapshots.push_back(ResumeSnapshot {
                 next_tti: next,
                 next_frame: self.first_frame + self.frames.len() as u64,
                 run: self.now.clone(),
@@ -236,14 +236,14 @@ impl RunHistory {
     /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, as returned by
     /// [`HistorySpan::for_each_tti`], if it is closer to `from` than the history's own snapshots. `None` if no such TTI
     /// is available.
-    pub fn span(&self, from: Tti, end: Tti, earlier_snapshot: Option<HistorySnapshot>) -> Option<HistorySpan> {
+    pub fn span(&self, from: Tti, end: Tti, earlier_snapshot: Option<ResumeSnapshot>) -> Option<HistorySpan> {
         let (available_from, available_end) = self.available_ttis();
         let (from, end) = (from.max(available_from), end.min(available_end));
         if from >= end {
             return None;
         }
         let own = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
-        let is_closer = |earlier: &HistorySnapshot| earlier.next_tti <= from && earlier.next_tti > own.next_tti;
+        let is_closer = |earlier: &ResumeSnapshot| earlier.next_tti <= from && earlier.next_tti > own.next_tti;
         let snapshot = earlier_snapshot.filter(is_closer).unwrap_or_else(|| own.clone());
         let numbered =
             (snapshot.next_frame..).zip(self.frames.range((snapshot.next_frame - self.first_frame) as usize..));
@@ -349,7 +349,7 @@ impl HistorySpan {
 
     /// Calls `visit` with each TTI and the views of `devices` in it, in the order of `devices`. A device that does not
     /// exist has no view. Returns a snapshot near the end, from which a later span can continue.
-    pub fn for_each_tti(self, devices: &[DeviceId], mut visit: impl FnMut(Tti, &[DeviceView])) -> HistorySnapshot {
+    pub fn for_each_tti(self, devices: &[DeviceId], mut visit: impl FnMut(Tti, &[DeviceView])) -> ResumeSnapshot {
         let Self {
             snapshot,
             frames,
@@ -357,7 +357,7 @@ impl HistorySpan {
             end,
         } = self;
         let mut end_snapshot = snapshot.clone();
-        let HistorySnapshot { mut run, next_tti, .. } = snapshot;
+        let ResumeSnapshot { mut run, next_tti, .. } = snapshot;
         let mut next = next_tti;
         let mut views = Vec::with_capacity(devices.len());
         let mut visit_until = |run: &mut Reconstruction, next: &mut Tti, until: Tti| {
@@ -382,7 +382,7 @@ impl HistorySpan {
                     visit_until(&mut run, &mut next, reached);
                     // Taken before the last grant: more messages of its TTIs can follow.
                     if Some(index) == last_grant {
-                        end_snapshot = HistorySnapshot {
+                        end_snapshot = ResumeSnapshot {
                             next_tti: next,
                             next_frame: *number,
                             run: run.clone(),

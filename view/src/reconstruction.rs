@@ -123,7 +123,7 @@ impl Reconstruction {
         let is_end = matches!(message, Message::World(_) | Message::Event(EventUpdate::Ended(_)));
         // An event that the world ends follows the next grant, which can have the stimulus of another event.
         if is_end && self.stimulus.is_some() && self.mirror.stimulus() == self.stimulus {
-            self.score.record_unpowered(self.mirror.unpowered());
+            self.score.record_unpowered(self.mirror.unpowered_count());
         }
     }
 
@@ -134,7 +134,7 @@ impl Reconstruction {
                 self.score.record_plan(&update, is_new, codec::encoded_len(&update));
                 let devices = u64::from(self.scenario.run.devices);
                 self.score
-                    .record_missed_plans(update.from, devices, self.mirror.missed_plans());
+                    .record_missed_plans(update.from, devices, self.mirror.devices_without_plan());
                 self.plan = Some(update.plan);
             }
             Message::Event(EventUpdate::Started(event)) => {

@@ -46,7 +46,7 @@ pub struct BatteryEstimator {
     uses_true_levels: bool,
     levels: Vec<Energy>,
     /// Other state by device.
-    estimates: Vec<BatteryEstimate>,
+    estimates: Vec<DeviceEstimateState>,
     classes: Vec<ClassHarvest>,
     geometry: SensingGeometry,
     radio: RadioLossRates,
@@ -86,9 +86,9 @@ struct SensingGeometry {
     sensing: Sensing,
 }
 
-/// State of one device, except its level.
+/// The estimator's state of one device, except the level.
 #[derive(Clone, Debug)]
-struct BatteryEstimate {
+struct DeviceEstimateState {
     class: u16,
     energy: EnergyModel,
     /// Mean harvest per TTI.
@@ -124,7 +124,7 @@ impl ClassHarvest {
     }
 }
 
-impl BatteryEstimate {
+impl DeviceEstimateState {
     fn new(device: &DeviceKnowledge, is_steady: bool) -> Self {
         let energy = &device.energy;
         let max_cost = energy.e_idle.max(energy.e_wur);
@@ -258,7 +258,7 @@ impl BatteryEstimator {
         let positions = known.positions();
         let new_estimate = |device: &DeviceKnowledge| {
             let is_steady = known.day_profiles[usize::from(device.class)].is_none();
-            BatteryEstimate::new(device, is_steady)
+            DeviceEstimateState::new(device, is_steady)
         };
         Self {
             uses_true_levels: false,

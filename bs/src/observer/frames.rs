@@ -13,7 +13,7 @@ use super::{Notification, Observer};
 
 /// Encodes notifications as frames. It keeps the order of notifications and remembers the last grant.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Frames {
+pub struct FrameEncoder {
     /// The first TTI of the last grant.
     first: Tti,
     /// The last TTI of the last grant.
@@ -22,7 +22,7 @@ pub struct Frames {
     next: Tti,
 }
 
-impl Frames {
+impl FrameEncoder {
     /// Passes the frames of `notification` to `emit`.
     pub fn encode(&mut self, notification: &Notification<'_>, mut emit: impl FnMut(Frame)) {
         match *notification {
@@ -72,7 +72,7 @@ impl Frames {
 /// An observer that encodes notifications as frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameObserver<F> {
-    frames: Frames,
+    encoder: FrameEncoder,
     emit: F,
     /// Interval between device states, TTIs; 0 for never.
     state_interval: u64,
@@ -85,7 +85,7 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
     /// `state_interval` TTIs or a little later if a grant is longer; 0 for never.
     pub fn new(state_interval: u64, emit: F) -> Self {
         Self {
-            frames: Frames::default(),
+            encoder: FrameEncoder::default(),
             emit,
             state_interval,
             states_due: Tti::ZERO,
@@ -96,18 +96,18 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
 impl<F: FnMut(Frame)> Observer for FrameObserver<F> {
     fn notify(&mut self, notification: &Notification<'_>) {
         if matches!(notification, Notification::DeviceStates(_)) {
-            let is_due = self.state_interval > 0 && self.frames.first >= self.states_due;
+            let is_due = self.state_interval > 0 && self.encoder.first >= self.states_due;
             if !is_due {
                 // Another observer has requested these states.
                 return;
             }
-            self.states_due = self.frames.last + self.state_interval;
+            self.states_due = self.encoder.last + self.state_interval;
         }
-        self.frames.encode(notification, &mut self.emit);
+        self.encoder.encode(notification, &mut self.emit);
     }
 
     fn wants_states(&self) -> bool {
-        self.state_interval > 0 && self.frames.next >= self.states_due
+        self.state_interval > 0 && self.encoder.next >= self.states_due
     }
 
     fn wants_beliefs(&self) -> bool {

@@ -97,7 +97,7 @@ pub struct RunProgress {
     /// Whether the clock is paused.
     pub is_paused: AtomicBool,
     /// Hosts that run devices and are not lost.
-    pub active_hosts: AtomicU64,
+    pub active_host_count: AtomicU64,
     /// TTIs that began late under a real-time pace.
     pub late_ttis: AtomicU64,
     /// The largest delay of a TTI, nanoseconds.
@@ -158,9 +158,9 @@ pub struct ServerOutcome {
     /// The time from the end of joining to the last answer.
     pub running_time: Duration,
     /// Number of hosts with which the run began; a takeover does not add one.
-    pub hosts: usize,
+    pub host_count: usize,
     /// Grants made: barriers over all hosts.
-    pub grants: u64,
+    pub grant_count: u64,
     /// Delays under a real-time pace.
     pub lateness: Lateness,
     /// Payloads that were dropped because they were not messages.

@@ -116,7 +116,7 @@ impl JoinHandler {
         checkpoint: Option<Arc<HostCheckpoint>>,
     ) -> JoinReply {
         let credentials = BusCredentials {
-            pass: HostCredential {
+            credential: HostCredential {
                 host: assignment.host,
                 token,
             },
@@ -129,7 +129,7 @@ impl JoinHandler {
                 .map(|checkpoint| checkpoint.slice(assignment.first.index(), assignment.count as usize))
         };
         JoinReply::Welcome(Box::new(HostSetup {
-            resumption: checkpoint.map(|shared| (*shared).clone()).or_else(from_resumed_run),
+            checkpoint: checkpoint.map(|shared| (*shared).clone()).or_else(from_resumed_run),
             ..self.deployment.host_setup(&self.scenario, credentials, first, count)
         }))
     }
@@ -218,7 +218,7 @@ pub(super) async fn wait_for_all_devices(
                 .joined_devices
                 .store(u64::from(state.admission.assigned_device_count()), Ordering::Relaxed);
             progress
-                .active_hosts
+                .active_host_count
                 .store(state.admission.active_host_count() as u64, Ordering::Relaxed);
             if let Some(assignments) = state.admission.assignments_if_all_active() {
                 tracing::info!(

@@ -26,7 +26,7 @@ use super::state::{SharedState, now};
 use crate::cycle::WakeOrder;
 use crate::observer::Observer;
 use crate::policy::external::RecordedDecision;
-use crate::session::{Action, ActionResult, Gathered, Session};
+use crate::session::{Action, ActionResult, GrantAnswers, Session};
 
 /// Interval between checks of the clock, the hosts and the stop flag during a wait.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
@@ -87,7 +87,7 @@ pub(super) async fn run(
     let started = now();
     let ledgers = run_loop.run_ttis(observer).await;
     run_loop.publish_progress();
-    let unused_decisions = run_loop.session.input_queue().decisions();
+    let unused_decisions = run_loop.session.input_queue().decision_count();
     let outcome = match ledgers {
         Ok(ledgers) => run_loop.session.finish(&ledgers, observer),
         Err(error) if error.is_interruption() => match &run_loop.context.replay {
@@ -106,8 +106,8 @@ pub(super) async fn run(
         outcome,
         joining_time,
         running_time,
-        hosts: state.barrier.roster_mut().host_count(),
-        grants: run_loop.grants,
+        host_count: state.barrier.roster_mut().host_count(),
+        grant_count: run_loop.grants,
         lateness: run_loop.lateness,
         malformed_payloads: run_loop.context.bus.malformed_payloads(),
         unexpected_messages: state.barrier.unexpected_messages(),
@@ -222,7 +222,7 @@ impl RunLoop<'_> {
         let LoopContext {
             port, progress, replay, ..
         } = &mut self.context;
-        let pending = port.prepare_request(&request, self.session.decisions())?;
+        let pending = port.prepare_request(&request, self.session.decision_count())?;
         // Boxed: the future is large, and few runs need it.
         let Some(decision) = Box::pin(port.obtain_decision(pending, progress)).await? else {
             // Between TTIs the loop sees the stop flag itself and ends the run in order; an open TTI lacks its
@@ -282,14 +282,17 @@ impl RunLoop<'_> {
         let GrantMessage {
             last,
             stimulus,
-            account,
-            views,
+            wants_totals,
+            wants_views,
             ..
         } = *self.session.grant_message();
         // Before the grant is sent, since a host may answer while this task is still in `put`.
         {
             let mut state = self.context.shared.lock();
-            let options = GrantOptions { totals: account, views };
+            let options = GrantOptions {
+                totals: wants_totals,
+                views: wants_views,
+            };
             state.barrier.expect_grant(last, stimulus.is_some(), options);
         }
         self.context.bus.set_tti(last);
@@ -303,22 +306,25 @@ impl RunLoop<'_> {
     async fn gather_answers(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
         self.wait_for_answers().await?;
         let GrantMessage {
-            first, last, account, ..
+            first,
+            last,
+            wants_totals,
+            ..
         } = *self.session.grant_message();
         // Lost devices are removed before the answers count, since the removal precedes sensing in this TTI.
         self.remove_lost(last, observer)?;
-        let mut gathered = self.context.shared.lock().barrier.take_grant_result();
+        let mut answers = self.context.shared.lock().barrier.take_grant_result();
         // The sums of removed hosts come from a replay. A host that is lost after this point has already answered with
         // its own.
-        if account {
-            let totals = gathered.totals + self.removed_hosts.totals_before(first)?;
+        if wants_totals {
+            let totals = answers.totals + self.removed_hosts.totals_before(first)?;
             self.session.apply_result(ActionResult::Totals(totals), observer);
         }
-        let result = ActionResult::Gathered(Gathered {
-            reports: &mut gathered.reports,
-            failures: &mut gathered.failures,
-            unpowered: gathered.unpowered,
-            views: &gathered.views,
+        let result = ActionResult::GrantAnswers(GrantAnswers {
+            reports: &mut answers.reports,
+            failures: &mut answers.failures,
+            unpowered: answers.unpowered,
+            views: &answers.views,
         });
         self.session.apply_result(result, observer);
         Ok(())
@@ -387,7 +393,7 @@ impl RunLoop<'_> {
         };
         self.context
             .progress
-            .active_hosts
+            .active_host_count
             .store(hosts as u64, Ordering::Relaxed);
         self.context
             .progress

@@ -25,7 +25,7 @@ use reveille_common::units::Energy;
 
 pub use self::queue::InputQueue;
 use crate::boundaries::Boundaries;
-pub use crate::cycle::Gathered;
+pub use crate::cycle::GrantAnswers;
 use crate::cycle::{Cycle, CycleStep, PreparedRun, RunOutcome, WakeOrder};
 use crate::observer::{Notification, Observer};
 use crate::policy::external::{Decision, DecisionContext, DecisionStage};
@@ -54,7 +54,7 @@ pub enum Action {
     },
     /// Remove these devices from the run, then ask for the next action.
     Remove(DeviceRemoval),
-    /// Wait until the devices have completed the grant, and pass on their answers as [`ActionResult::Gathered`].
+    /// Wait until the devices have completed the grant, and pass on their answers as [`ActionResult::GrantAnswers`].
     Gather,
     /// Wake a device, and pass on the outcome as [`ActionResult::Woken`].
     Wake(WakeOrder),
@@ -70,12 +70,12 @@ pub enum ActionResult<'a> {
     /// The sums over all devices.
     Totals(DeviceTotals),
     /// The answers to the next grant carry the sums: [`ActionResult::Totals`] follows before
-    /// [`ActionResult::Gathered`].
+    /// [`ActionResult::GrantAnswers`].
     TotalsFollow,
     /// The decision that was requested.
     Decided(Decision),
     /// The answers of the devices that have completed the grant.
-    Gathered(Gathered<'a>),
+    GrantAnswers(GrantAnswers<'a>),
     /// The outcome of the wake-up.
     Woken(WakeOutcome),
 }
@@ -197,7 +197,7 @@ impl Session {
     }
 
     /// Number of decisions of an external policy that have taken effect, those from the queue included.
-    pub const fn decisions(&self) -> u64 {
+    pub const fn decision_count(&self) -> u64 {
         self.decisions
     }
 
@@ -281,7 +281,7 @@ impl Session {
             ActionResult::Totals(energy) => self.take_totals(energy, observer),
             ActionResult::TotalsFollow => self.expect_late_totals(),
             ActionResult::Decided(answer) => self.take_decision(answer, observer),
-            ActionResult::Gathered(answers) => self.take_answers(answers, observer),
+            ActionResult::GrantAnswers(answers) => self.take_answers(answers, observer),
             ActionResult::Woken(outcome) => self.take_outcome(outcome, observer),
         }
     }
@@ -330,7 +330,7 @@ impl Session {
     }
 
     #[inline]
-    fn take_answers(&mut self, answers: Gathered<'_>, observer: &mut impl Observer) {
+    fn take_answers(&mut self, answers: GrantAnswers<'_>, observer: &mut impl Observer) {
         if !matches!(self.phase, Phase::Granted) {
             self.panic_unexpected("reports");
         }
@@ -454,12 +454,12 @@ impl Session {
             last: grant.last,
             stimulus: grant.stimulus,
             until: grant.until,
-            account: self.late_totals.is_some(),
+            wants_totals: self.late_totals.is_some(),
             // A policy that decides for the next TTI by true batteries reads them from these views.
-            views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
-            plan: self.plan_from.unwrap_or_default(),
-            plans: updates.len() as u32,
-            changes: changes.len() as u32,
+            wants_views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
+            plan_from: self.plan_from.unwrap_or_default(),
+            plan_count: updates.len() as u32,
+            change_count: changes.len() as u32,
         };
         self.phase = Phase::Granted;
         Action::Grant { changes, updates }

@@ -37,12 +37,12 @@ impl InputQueue {
     }
 
     /// Number of removals that have not taken effect.
-    pub fn removals(&self) -> usize {
+    pub fn removal_count(&self) -> usize {
         self.removals.len()
     }
 
     /// Number of decisions that no request has used.
-    pub fn decisions(&self) -> usize {
+    pub fn decision_count(&self) -> usize {
         self.decisions.len()
     }
 

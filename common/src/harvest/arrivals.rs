@@ -79,7 +79,7 @@ impl ArrivalsSetup {
             Tti::NEVER
         } else {
             // A gap of 1 is TTI 0.
-            Tti(gaps.draw(&mut stream)).saturating_sub_one()
+            Tti(gaps.draw(&mut stream)).previous()
         };
         let e_b = self.e_b;
         (ArrivalsSource { gaps, stream, e_b }, next)

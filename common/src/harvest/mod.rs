@@ -303,7 +303,7 @@ impl SharedSourceData {
         for setup in setups {
             match setup {
                 HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => shared.add_gaps(*p),
-                HarvestSetup::Diurnal(diurnal) => shared.add_hazards(&diurnal.sun, diurnal.zenith),
+                HarvestSetup::Diurnal(diurnal) => shared.add_hazards(&diurnal.sun, diurnal.zenith_probability),
                 HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => {}
             }
         }

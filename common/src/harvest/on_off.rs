@@ -181,5 +181,5 @@ impl OnOffSource {
 
 /// The last TTI of an on-period that starts at `first`.
 fn draw_last_on(first: Tti, on_duration: Geometric, stream: &mut Stream) -> Tti {
-    first.saturating_add(on_duration.draw(stream)).saturating_sub_one()
+    first.saturating_add(on_duration.draw(stream)).previous()
 }

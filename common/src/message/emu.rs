@@ -56,7 +56,7 @@ impl fmt::Display for JoinRequest {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BusCredentials {
     /// The host's number and token.
-    pub pass: HostCredential,
+    pub credential: HostCredential,
     /// The secret part at the start of every member's keys.
     pub secret: Secret,
 }
@@ -99,9 +99,9 @@ impl HostCheckpoint {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HostSetup {
     /// The host's identity on the bus.
-    pub membership: BusCredentials,
+    pub credentials: BusCredentials,
     /// The progress of its devices; `None` if they start before TTI 0.
-    pub resumption: Option<HostCheckpoint>,
+    pub checkpoint: Option<HostCheckpoint>,
     /// Seed of the run's streams.
     pub seed: u64,
     /// Length K of the run in TTIs.
@@ -148,7 +148,7 @@ impl HostSetup {
         }
         // The host zips devices with checkpoints, which would silently drop the rest of the longer list.
         if self
-            .resumption
+            .checkpoint
             .as_ref()
             .is_some_and(|checkpoint| checkpoint.devices.len() != self.devices.len())
         {
@@ -199,16 +199,21 @@ pub struct GrantMessage {
     /// The last TTI of that stimulus. A device that wakes later senses nothing.
     pub until: Tti,
     /// Whether the answer contains the sums of the TTIs before `first`.
-    pub account: bool,
+    #[serde(rename = "account")]
+    pub wants_totals: bool,
     /// Whether the answer contains the states and batteries after `last`.
-    pub views: bool,
+    #[serde(rename = "views")]
+    pub wants_views: bool,
     /// The first TTI of the plan that applies in `last`. A host that missed that plan does not answer, and receives it
     /// again.
-    pub plan: Tti,
+    #[serde(rename = "plan")]
+    pub plan_from: Tti,
     /// Number of plans that take effect within the grant. A host that lacks one of them does not answer either.
-    pub plans: u32,
+    #[serde(rename = "plans")]
+    pub plan_count: u32,
     /// Number of changes that operators make at the start of `first`. A host that lacks them does not answer either.
-    pub changes: u32,
+    #[serde(rename = "changes")]
+    pub change_count: u32,
 }
 
 /// Emulation, BS → all hosts: the messages of the virtual clock.
@@ -257,11 +262,11 @@ impl fmt::Display for GrantMessage {
             last,
             stimulus,
             until: _,
-            account,
-            views,
-            plan: _,
-            plans: _,
-            changes: _,
+            wants_totals,
+            wants_views,
+            plan_from: _,
+            plan_count: _,
+            change_count: _,
         } = self;
         if first == last {
             write!(f, "TTI {first}")?;
@@ -271,8 +276,12 @@ impl fmt::Display for GrantMessage {
         if let Some(stimulus) = stimulus {
             write!(f, ", {stimulus}")?;
         }
-        f.write_str(if *account { ", sums requested" } else { "" })?;
-        f.write_str(if *views { ", states and batteries requested" } else { "" })
+        f.write_str(if *wants_totals { ", sums requested" } else { "" })?;
+        f.write_str(if *wants_views {
+            ", states and batteries requested"
+        } else {
+            ""
+        })
     }
 }
 
@@ -298,7 +307,8 @@ pub enum HostAnswer {
         views: Option<Vec<DeviceView>>,
     },
     /// A wake-up without a report.
-    NotWoken {
+    #[serde(rename = "NotWoken")]
+    NoReport {
         /// The device.
         device: DeviceId,
         /// The TTI.
@@ -318,7 +328,7 @@ pub enum HostAnswer {
 impl Concerns for HostAnswer {
     fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
         match self {
-            Self::NotWoken { device: woken, .. } => *woken == device,
+            Self::NoReport { device: woken, .. } => *woken == device,
             Self::GrantDone { failures, .. } => failures.iter().any(|failure| failure.device == device),
             Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(id, _)| *id == device),
         }
@@ -342,7 +352,7 @@ impl fmt::Display for HostAnswer {
                     .as_ref()
                     .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
             }
-            Self::NotWoken { device, outcome, .. } => write!(f, "device {device} {outcome}"),
+            Self::NoReport { device, outcome, .. } => write!(f, "device {device} {outcome}"),
             Self::Ledgers { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
         }
     }

@@ -125,7 +125,7 @@ impl FalseWakeUps {
         let gap_distribution = Geometric::new(p);
         let mut stream = Stream::new(seed, Purpose::FalseWakes, u64::from(device.0));
         // A gap of 1 is TTI 0.
-        let next_tti = Tti(gap_distribution.draw(&mut stream)).saturating_sub_one();
+        let next_tti = Tti(gap_distribution.draw(&mut stream)).previous();
         Self {
             stream,
             gap_distribution,

@@ -11,12 +11,12 @@ mod classes;
 mod declaration;
 mod load;
 mod model;
-mod page;
 mod policy;
 mod run;
 mod site;
 #[cfg(test)]
 pub(crate) mod testing;
+mod toml_text;
 mod validate;
 
 pub use class_assignment::assign_classes;

@@ -19,7 +19,8 @@ pub struct EventActivity {
     /// Wake-ups sent to the device.
     pub wake_ups: u64,
     /// Wake-ups that the device received.
-    pub heard: u64,
+    #[serde(rename = "heard")]
+    pub received_wake_ups: u64,
     /// Number of times it entered S2 and could not transmit, or was woken beyond `d_max` from the epicentre.
     pub wrong_activations: u64,
 }
@@ -28,7 +29,7 @@ impl EventActivity {
     const NONE: Self = Self {
         reports: 0,
         wake_ups: 0,
-        heard: 0,
+        received_wake_ups: 0,
         wrong_activations: 0,
     };
     /// The activity of a device that reported without a wake-up.
@@ -39,7 +40,7 @@ impl EventActivity {
     /// The activity of a device that was woken and brought no report to the BS.
     pub(super) const WOKEN: Self = Self {
         wake_ups: 1,
-        heard: 1,
+        received_wake_ups: 1,
         ..Self::NONE
     };
     /// The activity of a device that was woken and reported to the BS.
@@ -66,7 +67,7 @@ impl EventActivity {
         [
             ("reports", self.reports),
             ("wake_ups", self.wake_ups),
-            ("wake_ups_received", self.heard),
+            ("wake_ups_received", self.received_wake_ups),
             ("wrong_activations", self.wrong_activations),
         ]
     }
@@ -76,7 +77,7 @@ impl AddAssign for EventActivity {
     fn add_assign(&mut self, other: Self) {
         self.reports += other.reports;
         self.wake_ups += other.wake_ups;
-        self.heard += other.heard;
+        self.received_wake_ups += other.received_wake_ups;
         self.wrong_activations += other.wrong_activations;
     }
 }

@@ -96,11 +96,11 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
         last: tti,
         stimulus: None,
         until: Tti::ZERO,
-        account: false,
-        views: false,
-        plan: Tti::ZERO,
-        changes: 0,
-        plans: 1,
+        wants_totals: false,
+        wants_views: false,
+        plan_from: Tti::ZERO,
+        plan_count: 1,
+        change_count: 0,
     });
     let answer = HostAnswer::GrantDone {
         host: HostId(0),

@@ -301,7 +301,7 @@ pub(crate) struct RobustnessArgs {
     pub pictures: FigureOutputArgs,
 }
 
-/// The names of the figures over a whole study that `study::FIGURES` does not list.
+/// The names of the figures over a whole study that `study::PAPER_FIGURES` does not list.
 pub(crate) fn other_figures() -> [&'static str; 5] {
     let ([harvest, net], [pareto, delay]) = (energy::NAMES, pareto::TRADE_OFFS.map(|trade| trade.name));
     [harvest, net, pareto, delay, front::NAME]
@@ -309,7 +309,7 @@ pub(crate) fn other_figures() -> [&'static str; 5] {
 
 /// Returns the names of all figures that `reveille figures` draws without a subcommand.
 fn figure_names() -> Vec<&'static str> {
-    let names = study::FIGURES.iter().map(|figure| figure.name);
+    let names = study::PAPER_FIGURES.iter().map(|figure| figure.name);
     names.chain(other_figures()).collect()
 }
 

@@ -436,7 +436,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
     let process_stats = move || {
         let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
         ProcessStats {
-            hosts: load(&progress.active_hosts),
+            hosts: load(&progress.active_host_count),
             late_ttis: load(&progress.late_ttis),
             max_late_s: load(&progress.max_late_ns) as f64 / 1e9,
             dropped: bus_copy.dropped_frames(),
@@ -489,8 +489,8 @@ fn timing(served: &ServerOutcome, preparation_time: Duration) -> Timing {
         ready_s: (preparation_time + served.joining_time).as_secs_f64(),
         run_s,
         ttis_per_s: served.outcome.ttis_done as f64 / run_s,
-        hosts: served.hosts,
-        grants: served.grants,
+        hosts: served.host_count,
+        grants: served.grant_count,
         late_ttis: served.lateness.late_ttis,
         max_late_ms: served.lateness.max_delay.as_secs_f64() * 1e3,
         malformed_messages: served.malformed_payloads,

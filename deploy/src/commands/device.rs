@@ -55,7 +55,7 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         },
         stands_by: true,
         // Tuned processes handle messages on the thread that delivers them, if their devices are few.
-        uses_worker: args.untuned,
+        forces_worker: args.untuned,
     };
     let work = async {
         let bus =

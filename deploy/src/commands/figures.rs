@@ -114,9 +114,9 @@ fn draw_swept_field(
     args: &FiguresArgs,
     results: &Results,
     numbers: &SweptNumbers,
-    chosen: &[study::Figure],
+    chosen: &[study::PaperFigure],
 ) -> anyhow::Result<()> {
-    let is_default = |figure: &&study::Figure| SWEPT_METRICS.contains(&figure.metric);
+    let is_default = |figure: &&study::PaperFigure| SWEPT_METRICS.contains(&figure.metric);
     for figure in chosen
         .iter()
         .filter(|figure| !args.only.is_empty() || is_default(figure))

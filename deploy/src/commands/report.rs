@@ -109,7 +109,7 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
 /// Draws all figures of a condition, with their names.
 fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     let mut scenes = Vec::new();
-    for figure in study::FIGURES {
+    for figure in study::PAPER_FIGURES {
         if let Some(drawing) = figure.draw(condition) {
             scenes.push((figure.name, drawing.chart.scene()));
         }
@@ -130,7 +130,7 @@ fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>
 
 /// The position of a picture: the paper's order first, then figures that the paper does not have.
 fn figure_order(title: &str) -> usize {
-    let titles = study::FIGURES.iter().map(|figure| figure.title);
+    let titles = study::PAPER_FIGURES.iter().map(|figure| figure.title);
     let trades = pareto::TRADE_OFFS.iter().map(|trade| trade.title);
     let mut titles = titles.chain(["Harvest", "Net"]).chain(trades);
     let position = titles.position(|known| title.starts_with(known));

@@ -131,6 +131,6 @@ pub(super) fn replay(
     run.schedule_inputs(inputs);
     advance_to(&mut run, to, progress, observer)?;
     // `to` lies after the last logged removal, so all of them must have taken effect.
-    ensure!(run.input_queue().removals() == 0, input_log::MISMATCH);
+    ensure!(run.input_queue().removal_count() == 0, input_log::MISMATCH);
     Ok(run.into_resumed())
 }

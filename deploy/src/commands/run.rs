@@ -110,7 +110,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         run_observers.folder.fail(&error);
         return Err(error);
     }
-    let unused_decisions = run.input_queue().decisions();
+    let unused_decisions = run.input_queue().decision_count();
     let outcome = if may_continue {
         run.finish(&mut (&mut run_observers, &mut mark_writer))
     } else {

@@ -108,7 +108,7 @@ async fn serve_with_devices(
             // With a single host there are no devices to take over.
             stands_by: false,
             // A tuned host handles messages on the thread that delivers them, if its devices are few.
-            uses_worker: is_untuned,
+            forces_worker: is_untuned,
         };
         let host_task = tokio::spawn(async move { host::run_host(&host_bus, host_config, &|_| {}).await });
         let code = serve_run(service, folder, |_| {}).await;

@@ -10,7 +10,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Frame, Message, MessageKind, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
-use reveille_view::history::{HistorySnapshot, HistorySpan, RunHistory};
+use reveille_view::history::{HistorySpan, ResumeSnapshot, RunHistory};
 
 /// Most rows of one answer.
 pub(super) const MAX_ROWS: usize = 256;
@@ -45,7 +45,7 @@ pub(super) struct TimelineRequest {
 
 /// The snapshot that the last answer ended with. Requests that follow a live run continue from it.
 #[derive(Default)]
-pub(super) struct TimelineCursor(Mutex<Option<HistorySnapshot>>);
+pub(super) struct TimelineCursor(Mutex<Option<ResumeSnapshot>>);
 
 impl TimelineCursor {
     /// Copies the requested TTIs from `history`; `None` if none of them is available.
@@ -66,7 +66,7 @@ impl TimelineCursor {
         cells.encode(request.from, end, request.step)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Option<HistorySnapshot>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Option<ResumeSnapshot>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -165,9 +165,9 @@ impl GrantFollower {
         if grant.first != self.next
             || grant.last < grant.first
             || grant.last >= self.end
-            || last_plan != Some(grant.plan)
-            || due_plans().count() != grant.plans as usize
-            || due_changes.map_or(0, |(_, changes)| changes.len()) != grant.changes as usize
+            || last_plan != Some(grant.plan_from)
+            || due_plans().count() != grant.plan_count as usize
+            || due_changes.map_or(0, |(_, changes)| changes.len()) != grant.change_count as usize
         {
             return Disposition::NotReady;
         }

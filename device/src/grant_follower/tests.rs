@@ -46,11 +46,11 @@ fn grant_of(ttis: RangeInclusive<u64>, plan_from: u64, plan_count: u32) -> Grant
         last: Tti(last),
         stimulus: None,
         until: Tti(last).saturating_add(1),
-        account: false,
-        views: false,
-        plan: Tti(plan_from),
-        plans: plan_count,
-        changes: 0,
+        wants_totals: false,
+        wants_views: false,
+        plan_from: Tti(plan_from),
+        plan_count,
+        change_count: 0,
     }
 }
 
@@ -145,7 +145,7 @@ fn a_grant_waits_for_all_of_its_changes() {
     let mut follower = new_follower();
     follower.receive_plan(plan_update(0, &[]));
     let grant = GrantMessage {
-        changes: 2,
+        change_count: 2,
         ..grant_of(0..=9, 0, 1)
     };
     assert_eq!(follower.receive_grant(grant), Disposition::NotReady, "no changes");

@@ -104,7 +104,7 @@ impl Actor {
             // The modelled air loses a report after transmission, and the base station draws that loss itself.
             WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.send_report(&report),
             WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Late { .. } => {
-                self.uplink.send_answer(&HostAnswer::NotWoken { device, tti, outcome });
+                self.uplink.send_answer(&HostAnswer::NoReport { device, tti, outcome });
             }
         }
     }

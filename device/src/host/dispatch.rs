@@ -1,5 +1,5 @@
 //! Choice of the thread that processes a host's messages, by the capacity of its process: the largest number of devices
-//! that it may run. `uses_worker` overrides this rule.
+//! that it may run. `forces_worker` overrides this rule.
 //!
 //! A host with a small capacity processes a message on the thread that delivers it. This saves a thread switch per
 //! message, which is most of the cost of a quiet TTI. The same thread also empties the link's queue, because device
@@ -38,11 +38,15 @@ pub(super) enum Dispatcher {
 
 impl Dispatcher {
     /// Creates the dispatcher of a host whose process has this `capacity`, with `handle` for each message. It uses
-    /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `uses_worker`. `--untuned` sets
-    /// `uses_worker`; a takeover does if the total capacity of the process is above the limit. Call it on the process's
-    /// own runtime.
-    pub(super) fn new(capacity: u32, uses_worker: bool, handle: impl Fn(HostMessage) + Send + Sync + 'static) -> Self {
-        if capacity <= MAX_INLINE_DEVICES && !uses_worker {
+    /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `forces_worker`. `--untuned` sets
+    /// `forces_worker`; a takeover does if the total capacity of the process is above the limit. Call it on the
+    /// runtime of the process.
+    pub(super) fn new(
+        capacity: u32,
+        forces_worker: bool,
+        handle: impl Fn(HostMessage) + Send + Sync + 'static,
+    ) -> Self {
+        if capacity <= MAX_INLINE_DEVICES && !forces_worker {
             return Self::Inline(Arc::new(handle));
         }
         // Unbounded, because zenoh's thread must not wait for the task.
@@ -77,14 +81,14 @@ mod tests {
     use super::*;
 
     /// Dispatches wake-ups of TTIs 0 to 9. Returns their TTIs in the order of handling, each with its thread.
-    fn handle_ten_messages(capacity: u32, uses_worker: bool) -> Vec<(Tti, ThreadId)> {
+    fn handle_ten_messages(capacity: u32, forces_worker: bool) -> Vec<(Tti, ThreadId)> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .build()
             .expect("a runtime");
         let (sender, handled) = channel();
         let _guard = runtime.enter();
-        let dispatcher = Dispatcher::new(capacity, uses_worker, move |message| {
+        let dispatcher = Dispatcher::new(capacity, forces_worker, move |message| {
             if let HostMessage::Wake(_, WakeUp { tti }) = message {
                 sender
                     .send((tti, thread::current().id()))
@@ -108,8 +112,8 @@ mod tests {
     #[test]
     fn many_devices_are_handled_on_another_thread_in_order() {
         let this_thread = thread::current().id();
-        for (capacity, uses_worker) in [(MAX_INLINE_DEVICES + 1, false), (1, true)] {
-            let (ttis, threads): (Vec<_>, Vec<_>) = handle_ten_messages(capacity, uses_worker).into_iter().unzip();
+        for (capacity, forces_worker) in [(MAX_INLINE_DEVICES + 1, false), (1, true)] {
+            let (ttis, threads): (Vec<_>, Vec<_>) = handle_ten_messages(capacity, forces_worker).into_iter().unzip();
             assert_eq!(ttis, (0..10).map(Tti).collect::<Vec<_>>());
             assert!(
                 threads.iter().all(|&thread| thread != this_thread),

@@ -30,7 +30,7 @@ pub struct HostConfig {
     /// Whether the host also takes over devices of lost hosts, up to its spare capacity.
     pub stands_by: bool,
     /// Whether a separate thread processes the host's messages, even if the delivering thread could do it.
-    pub uses_worker: bool,
+    pub forces_worker: bool,
 }
 
 /// An event that a host process reports to its caller.
@@ -60,10 +60,10 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
             let exit = if spare_devices > 0 && config.stands_by {
                 // Devices taken over later share this process's link. The total capacity therefore decides, not the
                 // remaining capacity.
-                let uses_worker = config.uses_worker || config.max_devices > MAX_INLINE_DEVICES;
+                let forces_worker = config.forces_worker || config.max_devices > MAX_INLINE_DEVICES;
                 let takeover_config = HostConfig {
                     max_devices: spare_devices,
-                    uses_worker,
+                    forces_worker,
                     ..config.clone()
                 };
                 let takeovers = run_host(bus, takeover_config, &|_| {});
@@ -148,22 +148,25 @@ async fn run_assignment(
     on_event: &(dyn Fn(HostEvent) + Sync),
 ) -> Result<HostExit, HostError> {
     let patience = config.patience;
-    let pass = assignment.membership.pass;
-    let host = pass.host;
+    let credential = assignment.credentials.credential;
+    let host = credential.host;
     // `HostSetup::validate` has refused an empty list.
     let (first, count) = (assignment.devices[0].id, assignment.devices.len() as u32);
     let last = DeviceId(first.0 + count - 1);
     tracing::info!(%host, %first, %last, "joined");
     on_event(HostEvent::Joined(host, first, last));
-    let bus = bus.with_secret(assignment.membership.secret);
+    let bus = bus.with_secret(assignment.credentials.secret);
     let shared = Arc::new(HostShared::new(&bus, assignment)?);
     let receiver = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
-    let dispatcher = Dispatcher::new(config.max_devices.max(count), config.uses_worker, move |message| {
+    let dispatcher = Dispatcher::new(config.max_devices.max(count), config.forces_worker, move |message| {
         receiver.dispatch(message);
     });
     let _declared = shared.declare(&bus, dispatcher)?;
-    match bus.query_until(&Ready { host }, Some(pass.token), patience).await? {
+    match bus
+        .query_until(&Ready { host }, Some(credential.token), patience)
+        .await?
+    {
         Some(true) => shared.wait_for_exit(&bus, patience).await,
         Some(false) => Ok(HostExit::Replaced),
         None => Err(bus.no_run_error().await.into()),

@@ -122,8 +122,8 @@ struct HostState {
 impl HostShared {
     fn new(bus: &Bus, assignment: HostSetup) -> Result<Self, HostError> {
         let HostSetup {
-            membership: credentials,
-            resumption,
+            credentials,
+            checkpoint,
             seed,
             ttis,
             measured_from,
@@ -132,15 +132,15 @@ impl HostShared {
             devices,
             traces,
         } = assignment;
-        let uplink = Arc::new(Uplink::new(bus, credentials.pass)?);
+        let uplink = Arc::new(Uplink::new(bus, credentials.credential)?);
         let d_max = sensing.d_max;
         let physics = Arc::new(Physics::new(seed, measured_from, sensing, radio, &devices, traces));
-        let machines: Vec<Machine> = match &resumption {
+        let machines: Vec<Machine> = match &checkpoint {
             None => devices.iter().map(|setup| Machine::new(setup, &physics)).collect(),
-            Some(resumption) => devices
+            Some(checkpoint) => devices
                 .iter()
-                .zip(&resumption.devices)
-                .map(|(setup, checkpoint)| Machine::from_checkpoint(setup, &physics, checkpoint))
+                .zip(&checkpoint.devices)
+                .map(|(setup, device)| Machine::from_checkpoint(setup, &physics, device))
                 .collect::<Result<_, _>>()
                 .map_err(HostError::Assignment)?,
         };
@@ -149,7 +149,7 @@ impl HostShared {
             first,
             positions: devices.iter().map(|d| d.position).collect(),
             duties: machines.iter().map(Machine::duty).collect(),
-            resume_point: resumption.map_or(ResumePoint::default(), |resumption| resumption.at),
+            resume_point: checkpoint.map_or(ResumePoint::default(), |checkpoint| checkpoint.at),
         };
         let (mut unstarted_actors, mut mailboxes) = (Vec::new(), Vec::new());
         for machine in machines {
@@ -179,7 +179,7 @@ impl HostShared {
     fn declare(self: &Arc<Self>, bus: &Bus, dispatcher: Dispatcher) -> Result<Vec<DeclarationGuard>, BusError> {
         let keys = bus.key_exprs();
         let mut guards = Vec::new();
-        let host = self.credentials.pass.host;
+        let host = self.credentials.credential.host;
         let plan_dispatcher = dispatcher.clone();
         guards.push(bus.subscribe(host, move |update: PlanUpdate| {
             plan_dispatcher.dispatch(HostMessage::Plan(update));
@@ -193,7 +193,7 @@ impl HostShared {
         })?);
         let this = Arc::clone(self);
         guards.push(bus.watch_alive(keys.bs_liveliness(), move |_, alive| this.on_bs_liveliness(alive))?);
-        guards.push(bus.declare_alive(keys.host_liveliness(self.credentials.pass))?);
+        guards.push(bus.declare_alive(keys.host_liveliness(self.credentials.credential))?);
         Ok(guards)
     }
 
@@ -236,10 +236,10 @@ impl HostShared {
     /// Returns whether the base station still counts on this host. A restarted one serves other keys and does not
     /// answer.
     async fn is_still_known(&self, bus: &Bus, patience: Duration) -> Result<bool, BusError> {
-        let pass = self.credentials.pass;
-        let ready = Ready { host: pass.host };
+        let credential = self.credentials.credential;
+        let ready = Ready { host: credential.host };
         let patience = patience.min(STILL_KNOWN_TIMEOUT);
-        Ok(bus.query_until(&ready, Some(pass.token), patience).await? == Some(true))
+        Ok(bus.query_until(&ready, Some(credential.token), patience).await? == Some(true))
     }
 
     fn on_bs_liveliness(&self, alive: bool) {
@@ -326,11 +326,11 @@ impl HostShared {
             duty_changes,
             sensing_devices,
         } = task;
-        let parts_per_device = usize::from(grant.account) + usize::from(grant.views);
+        let parts_per_device = usize::from(grant.wants_totals) + usize::from(grant.wants_views);
         let parts = parts_per_device * self.mailboxes.len() + sensing_devices.len();
         let round = self.open_round(state, HostRequest::Grant(grant.last), parts);
         // The order matters: `AdvanceTo(first)` would panic after a later δ, and views show the state after sensing.
-        if grant.account {
+        if grant.wants_totals {
             for j in 0..self.mailboxes.len() {
                 self.send_command(j, DeviceCommand::AdvanceTo(grant.first, Arc::clone(&round)));
             }
@@ -353,7 +353,7 @@ impl HostShared {
                 self.send_command(j, DeviceCommand::Sense(grant.last, stimulus, Arc::clone(&round)));
             }
         }
-        if grant.views {
+        if grant.wants_views {
             for j in 0..self.mailboxes.len() {
                 self.send_command(j, DeviceCommand::View(grant.last, Arc::clone(&round)));
             }
@@ -403,7 +403,7 @@ impl HostShared {
 
     /// Opens the answer to a request, with one part of the host and `parts` parts of devices.
     fn open_round(&self, mut state: MutexGuard<'_, HostState>, request: HostRequest, parts: usize) -> Arc<AnswerRound> {
-        let round = Arc::new(AnswerRound::new(self.credentials.pass.host, request, parts));
+        let round = Arc::new(AnswerRound::new(self.credentials.credential.host, request, parts));
         state.round = Some(Arc::clone(&round));
         round
     }

@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use reveille_bs::policy::external::{DEVICE_FEATURES, DecisionStage, GLOBAL_FEATURES};
 use reveille_bs::scenario::Scenario;
 
-use super::environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
+use super::environment::{Environment, EpisodeTemplate, RewardTerms, RewardWeights};
 
 /// The output buffers of a batch of K environments with N devices, one environment after another. F and G are the
 /// numbers of features of a device and of the network.
@@ -24,7 +24,7 @@ pub struct BatchBuffers<'a> {
     pub mask: &'a mut [i8],
     /// The reward of the last step, `[K]`.
     pub reward: &'a mut [f64],
-    /// The terms of the reward as in [`StepResult`], `[K, 4]`.
+    /// The terms of the reward as in [`RewardTerms`], `[K, 4]`.
     pub parts: &'a mut [f64],
     /// The number of closed TTIs, `[K]`.
     pub ttis: &'a mut [i64],
@@ -72,8 +72,8 @@ impl<'a> BatchBuffers<'a> {
 }
 
 impl EnvBuffers<'_> {
-    fn write(&mut self, environment: &Environment, step: StepResult) {
-        let StepResult {
+    fn write(&mut self, environment: &Environment, step: RewardTerms) {
+        let RewardTerms {
             asleep,
             missed,
             information,
@@ -195,7 +195,7 @@ impl EnvBatch {
         let step = |index: usize, environment: &mut Environment, mut buffers: EnvBuffers<'_>| {
             let action = &actions[index * n..][..n];
             let step = if is_resting[index] {
-                StepResult::default()
+                RewardTerms::default()
             } else {
                 environment.step(|j| action[j] != 0)
             };

@@ -71,7 +71,7 @@ impl EpisodeTemplate {
 
 /// The reward of a step, by term.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepResult {
+pub struct RewardTerms {
     /// The share of sleeping devices, the first term of r(k); 0 at stage 1.
     pub asleep: f64,
     /// −α μ1 times the uncovered share of the area, the expectation of the second term of r(k); 0 at stage 1.
@@ -82,7 +82,7 @@ pub struct StepResult {
     pub woken: f64,
 }
 
-impl StepResult {
+impl RewardTerms {
     /// r(k) at stage 0, the step's share of r*(k) at stage 1.
     pub fn reward(&self) -> f64 {
         self.asleep + self.missed + self.information + self.woken
@@ -182,15 +182,15 @@ impl Environment {
     }
 
     /// Takes a step with the action `is_set`, by device. Has no effect at the end of the run.
-    pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+    pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         match self.run.pending_decision().map(|request| request.stage) {
-            None => StepResult::default(),
+            None => RewardTerms::default(),
             Some(DecisionStage::Plan) => self.step_plan(is_set),
             Some(DecisionStage::Wake) => self.step_wake_ups(is_set),
         }
     }
 
-    fn step_plan(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+    fn step_plan(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         self.plan_bits.clear();
         self.plan_bits.extend((0..self.devices).map(is_set));
         let coverage = CoverageReward::new(&mut self.template.union, &self.plan_bits);
@@ -200,14 +200,14 @@ impl Environment {
             next: self.run.now() + 1,
         });
         let alpha = self.template.scenario().events.alpha;
-        StepResult {
+        RewardTerms {
             asleep: coverage.asleep_share,
             missed: coverage.reward(alpha, self.weights.mu1) - coverage.asleep_share,
-            ..StepResult::default()
+            ..RewardTerms::default()
         }
     }
 
-    fn step_wake_ups(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+    fn step_wake_ups(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         self.devices_to_wake.clear();
         let devices = (0..self.devices).filter(|j| is_set(*j));
         self.devices_to_wake.extend(devices.map(|j| DeviceId(j as u32)));
@@ -220,10 +220,10 @@ impl Environment {
         let gain = (observer.information - information_before) / psi;
         let [information, woken] =
             reward::wake_up_reward_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
-        StepResult {
+        RewardTerms {
             information,
             woken,
-            ..StepResult::default()
+            ..RewardTerms::default()
         }
     }
 

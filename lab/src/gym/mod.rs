@@ -22,7 +22,7 @@ use crate::preparation::prepare;
 use crate::run::{Run, RunOptions};
 
 pub use batch::{BatchBuffers, EnvBatch, REWARD_TERMS};
-pub use environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
+pub use environment::{Environment, EpisodeTemplate, RewardTerms, RewardWeights};
 
 /// A run of a policy, and the actions that reproduce it in an environment.
 #[derive(Clone, Debug)]

@@ -3,7 +3,8 @@
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
 //! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as
 //! a quasi-likelihood, which is least at the correct mean. For a net that learns the actions of teachers, m are
-//! log-odds, and the likelihood is the probability of each device's action.
+//! log-odds, and the likelihood is the probability of each device's action. `expected` then counts devices that could
+//! sense, and `found` those that sensed, instead of events.
 
 use candle_core::{DType, Result, Tensor};
 use reveille_bs::policy::dt::model::ModelObjective;
@@ -13,9 +14,9 @@ use super::net::Outputs;
 
 /// Sums over a batch, from which ratios are reported.
 pub(super) struct Sums {
-    /// Negative log likelihood of the events found by looks.
+    /// Negative log likelihood of the events found by looks, or of the devices' actions.
     pub look_loss: Tensor,
-    /// Expected number of events found by looks.
+    /// Expected number of events found by looks, or number of devices that could sense.
     pub expected: f64,
     /// Negative log quasi-likelihood of the gain of wake-ups, in Ψ.
     pub wake_loss: Tensor,
@@ -77,7 +78,7 @@ impl Sums {
 /// The totals over all batches of an update, by which the sums of [`Sums`] are divided.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossDivisors {
-    /// Expected number of events.
+    /// Expected number of events, or number of devices that could sense.
     pub expected: f64,
     /// Expected gain of wake-ups, in Ψ.
     pub expected_gain: f64,
@@ -101,9 +102,9 @@ impl LossDivisors {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EvalScore {
     /// Gain in log likelihood per expected event over a net that expects α alone, nats.
-    pub looks: f64,
+    pub look_gain: f64,
     /// Gain in log quasi-likelihood of wake-ups per expected Ψ.
-    pub wakes: f64,
+    pub wake_gain: f64,
     /// Probability that a look that found an event had a larger expectation than one that did not. Chance is 0.5.
     pub accuracy: f64,
     /// Accuracy of age and α alone, the baseline.
@@ -162,8 +163,8 @@ impl Scores {
 
     pub(super) fn score(&self) -> EvalScore {
         EvalScore {
-            looks: self.look_gain / self.expected.max(1e-9),
-            wakes: self.wake_gain / self.expected_gain.max(1e-9),
+            look_gain: self.look_gain / self.expected.max(1e-9),
+            wake_gain: self.wake_gain / self.expected_gain.max(1e-9),
             accuracy: accuracy(self.scored_looks.iter().map(|(_, with, found)| (*with, *found))),
             plain_accuracy: accuracy(self.scored_looks.iter().map(|(without, _, found)| (*without, *found))),
             price_error: (self.squared_price_errors / self.priced_ttis.max(1.0)).sqrt(),

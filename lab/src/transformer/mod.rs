@@ -38,11 +38,11 @@ pub struct DtTrainingConfig {
     /// The number of optimiser steps.
     pub steps: u64,
     /// The approximate number of device-TTIs in a batch.
-    pub batch: usize,
+    pub batch_device_ttis: usize,
     /// The learning rate at the start; it falls to a hundredth along half a cosine.
-    pub rate: f64,
+    pub learning_rate: f64,
     /// The number of steps between two evaluations on held-out data.
-    pub every: u64,
+    pub evaluation_interval: u64,
     /// The number of evaluations without a better score after which the training ends.
     pub patience: u64,
     /// The seed of weights and batches.
@@ -57,9 +57,9 @@ impl DtTrainingConfig {
         let Self {
             shape,
             steps,
-            batch,
-            rate,
-            every,
+            batch_device_ttis,
+            learning_rate,
+            evaluation_interval,
             patience,
             seed,
         } = self;
@@ -72,10 +72,10 @@ impl DtTrainingConfig {
         } = shape;
         // In alphabetical order, with which serde_json writes the same text whether or not it preserves the order.
         serde_json::json!({
-            "batch": batch,
-            "every": every,
+            "batch": batch_device_ttis,
+            "every": evaluation_interval,
             "patience": patience,
-            "rate": rate,
+            "rate": learning_rate,
             "seed": seed,
             "shape": {
                 "attends_to_devices": attends_to_devices,
@@ -177,12 +177,12 @@ pub fn train(
         loss_sum += state.step(&data, config)?;
         step_count += 1.0;
         let step = state.optimiser.steps;
-        if !step.is_multiple_of(config.every) && step != config.steps {
+        if !step.is_multiple_of(config.evaluation_interval) && step != config.steps {
             continue;
         }
         let score = evaluate(&state.net, &data, config)?;
         // The price head makes no decisions, so it does not choose the best model.
-        let held_out_loss = -score.looks - score.wakes;
+        let held_out_loss = -score.look_gain - score.wake_gain;
         if !held_out_loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
@@ -229,7 +229,7 @@ impl TrainerState {
         // of the weights.
         let mut stream = Stream::new(config.seed ^ 0xDA7A, Purpose::Training, step);
         let draw = |_| {
-            let chunks = data.draw(config.batch / BATCH_PARTS, &mut stream);
+            let chunks = data.draw(config.batch_device_ttis / BATCH_PARTS, &mut stream);
             TrainingBatch::from_chunks(&chunks, config.shape)
         };
         let batches: Vec<TrainingBatch> = (0..BATCH_PARTS).map(draw).collect::<Result<_, _>>()?;
@@ -262,7 +262,7 @@ impl TrainerState {
             return Err(TransformerError::Diverged(step));
         }
         let progress = step as f64 / config.steps as f64;
-        let rate = config.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
+        let rate = config.learning_rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
         // The rate rises over the first 50 steps.
         let rate = rate * (0.02 * (step + 1) as f64).min(1.0);
         self.optimiser.step(self.net.vars(), &gradients, rate)?;
@@ -275,7 +275,7 @@ fn evaluate(net: &Net, data: &Dataset, config: &DtTrainingConfig) -> Result<Eval
         let batch = TrainingBatch::from_chunks(&chunks, config.shape)?;
         Scores::from_outputs(&batch, &net.forward(&batch.tokens, &batch.targets)?)
     };
-    let batches = data.held_out_batches(config.batch / BATCH_PARTS);
+    let batches = data.held_out_batches(config.batch_device_ttis / BATCH_PARTS);
     let parts: Vec<Scores> = batches.into_par_iter().map(score_batch).collect::<Result<_, _>>()?;
     let mut scores = Scores::default();
     for part in parts {

@@ -102,13 +102,13 @@ fn trajectories_of(chunks: Vec<Chunk>) -> Vec<Trajectories> {
     vec![Trajectories { about, chunks }]
 }
 
-fn short_config(steps: u64, every: u64) -> DtTrainingConfig {
+fn short_config(steps: u64, evaluation_interval: u64) -> DtTrainingConfig {
     DtTrainingConfig {
         shape: SHAPE,
         steps,
-        batch: 600,
-        rate: 0.01,
-        every,
+        batch_device_ttis: 600,
+        learning_rate: 0.01,
+        evaluation_interval,
         patience: 10,
         seed: 1,
     }
@@ -243,9 +243,9 @@ fn actions_of_teachers_are_learned_as_odds() {
         SENSING_SHARE * libm::log(2.0 * SENSING_SHARE) + (1.0 - SENSING_SHARE) * libm::log(2.0 * (1.0 - SENSING_SHARE));
     let score = last_score.expect("an evaluation");
     assert!(
-        (score.looks - expected_gain).abs() < 0.25 * expected_gain,
+        (score.look_gain - expected_gain).abs() < 0.25 * expected_gain,
         "gain {}, expected {expected_gain}",
-        score.looks
+        score.look_gain
     );
 }
 
@@ -321,16 +321,16 @@ fn a_training_learns_the_data_and_resumes_to_the_same_bytes() {
     // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats per expected event.
     let expected_gain = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
     assert!(
-        score.looks > 0.6 * expected_gain && score.looks < 1.4 * expected_gain,
+        score.look_gain > 0.6 * expected_gain && score.look_gain < 1.4 * expected_gain,
         "gain of looks: {}, expected {expected_gain}",
-        score.looks
+        score.look_gain
     );
     // All wake-ups bring half of the expected gain: ½·ln ½ − (½ − 1) nats.
     let expected_wake_gain = 0.5 - 0.5 * std::f64::consts::LN_2;
     assert!(
-        (score.wakes - expected_wake_gain).abs() < 0.05,
+        (score.wake_gain - expected_wake_gain).abs() < 0.05,
         "gain of wake-ups: {}, expected {expected_wake_gain}",
-        score.wakes
+        score.wake_gain
     );
     assert!(score.price_error < 0.1, "price error: {}", score.price_error);
     // The side of a token is informative; the mean from age and α is equal for all tokens.

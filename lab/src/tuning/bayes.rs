@@ -117,7 +117,7 @@ pub fn surface(ranges: &Ranges, history: &History) -> Result<Surface, TuningErro
 
 /// Returns the noise of a point as a share of the variance of all points, which is `deviation` squared.
 fn noise(history: &History, deviation: f64) -> f64 {
-    let half_widths = history.points.iter().map(|point| point.evaluation.objective_half);
+    let half_widths = history.points.iter().map(|point| point.evaluation.objective_half_width);
     let variances: Vec<f64> = half_widths
         .filter(|half| half.is_finite())
         // A 95 % interval extends about two standard errors to each side.

@@ -31,7 +31,7 @@ pub enum TuningError {
     },
     /// The file is not a history.
     #[error("{}: is not a history of a tuning: {reason}", path.display())]
-    NotOurs {
+    NotAHistory {
         /// The file.
         path: PathBuf,
         /// The cause.
@@ -43,7 +43,7 @@ pub enum TuningError {
          --force to start over",
         path.display()
     )]
-    Foreign {
+    OtherTuning {
         /// The file.
         path: PathBuf,
         /// The differences.

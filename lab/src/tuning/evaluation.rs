@@ -9,11 +9,11 @@ pub struct Evaluation {
     /// The objective.
     pub objective: f64,
     /// Half the width of its 95 % interval; NaN for a single run.
-    pub objective_half: f64,
+    pub objective_half_width: f64,
     /// Information, the objective of P1.
     pub information: f64,
     /// Half the width of its 95 % interval; NaN for a single run.
-    pub information_half: f64,
+    pub information_half_width: f64,
     /// The share of events without a report, %.
     pub misdetection_pct: f64,
     /// The units spent per device and TTI.
@@ -38,9 +38,9 @@ impl Evaluation {
     pub const fn values(&self) -> [f64; 7] {
         [
             self.objective,
-            self.objective_half,
+            self.objective_half_width,
             self.information,
-            self.information_half,
+            self.information_half_width,
             self.misdetection_pct,
             self.energy,
             self.wake_ups,
@@ -51,18 +51,18 @@ impl Evaluation {
     pub const fn new(values: [f64; 7]) -> Self {
         let [
             objective,
-            objective_half,
+            objective_half_width,
             information,
-            information_half,
+            information_half_width,
             misdetection_pct,
             energy,
             wake_ups,
         ] = values;
         Self {
             objective,
-            objective_half,
+            objective_half_width,
             information,
-            information_half,
+            information_half_width,
             misdetection_pct,
             energy,
             wake_ups,

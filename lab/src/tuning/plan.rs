@@ -237,9 +237,9 @@ impl TuningPlan {
         let information = estimate(&|m| m.info_p1);
         Ok(Evaluation {
             objective: objective.mean,
-            objective_half: objective.half_width,
+            objective_half_width: objective.half_width,
             information: information.mean,
-            information_half: information.half_width,
+            information_half_width: information.half_width,
             misdetection_pct: estimate(&|m| m.misdetection_pct).mean,
             energy: estimate(&|m| m.energy_per_device_tti).mean,
             wake_ups: estimate(&|m| m.wake_ups_per_event).mean,

@@ -249,7 +249,7 @@ fn an_evaluation_is_the_same_twice_and_on_any_number_of_threads() {
     assert_eq!(evaluation, evaluate([5.0, 2.0], 1));
     assert_eq!(evaluation, evaluate([5.0, 2.0], 2));
     assert_ne!(evaluation, evaluate([0.6, 2.0], 2));
-    assert!(evaluation.information > 0.0 && evaluation.energy > 0.0 && evaluation.objective_half > 0.0);
+    assert!(evaluation.information > 0.0 && evaluation.energy > 0.0 && evaluation.objective_half_width > 0.0);
     let balance = evaluation.information - evaluation.energy - evaluation.misdetection_pct / 100.0;
     assert!(
         (evaluation.objective - balance).abs() < 1e-12,
@@ -304,7 +304,7 @@ fn the_history_of_another_tuning_is_refused() {
         let mut plan = small_plan();
         change(&mut plan);
         match Tuner::open(plan, &file.0, false) {
-            Err(error @ TuningError::Foreign { .. }) => assert!(error.to_string().contains(cause), "{error}"),
+            Err(error @ TuningError::OtherTuning { .. }) => assert!(error.to_string().contains(cause), "{error}"),
             other => panic!("{cause}: {other:?}"),
         }
     };
@@ -331,9 +331,9 @@ fn the_history_of_another_tuning_is_refused() {
 fn a_history_round_trips_and_damaged_ones_are_refused() {
     let evaluation = Evaluation {
         objective: -1.0 / 3.0,
-        objective_half: f64::NAN,
+        objective_half_width: f64::NAN,
         information: 0.1 + 0.2,
-        information_half: 1e-300,
+        information_half_width: 1e-300,
         misdetection_pct: 100.0 / 3.0,
         energy: std::f64::consts::PI,
         wake_ups: 0.0,
@@ -382,9 +382,9 @@ fn points_are_ranked_by_objective_and_then_by_number() {
     for objective in [0.1, 0.5, -1.0, 0.5] {
         let evaluation = Evaluation {
             objective,
-            objective_half: 0.0,
+            objective_half_width: 0.0,
             information: 0.0,
-            information_half: 0.0,
+            information_half_width: 0.0,
             misdetection_pct: 0.0,
             energy: 0.0,
             wake_ups: 0.0,
@@ -448,9 +448,9 @@ mod optimiser {
         for (weights, objective) in climb(1, 4) {
             let evaluation = Evaluation {
                 objective,
-                objective_half: f64::NAN,
+                objective_half_width: f64::NAN,
                 information: 0.0,
-                information_half: f64::NAN,
+                information_half_width: f64::NAN,
                 misdetection_pct: 0.0,
                 energy: 0.0,
                 wake_ups: 0.0,

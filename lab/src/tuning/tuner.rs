@@ -38,7 +38,7 @@ impl Tuner {
             let (saved, is_torn) = History::read(path)?;
             let differences = saved.differences(&header, &design);
             if !differences.is_empty() {
-                return Err(TuningError::Foreign {
+                return Err(TuningError::OtherTuning {
                     path: path.to_owned(),
                     differences: differences.join("; "),
                 });
@@ -136,7 +136,7 @@ impl History {
         let parsed = String::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned());
         parsed
             .and_then(|text| Self::parse(&text))
-            .map_err(|reason| TuningError::NotOurs {
+            .map_err(|reason| TuningError::NotAHistory {
                 path: path.to_owned(),
                 reason,
             })

@@ -176,7 +176,7 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         .iter()
         .zip(&attention.log_expectations)
     {
-        let corners = VectorPath::polyline(cell.iter().map(|p| plot.to_canvas(*p)), true);
+        let corners = VectorPath::closed_line(cell.iter().map(|p| plot.to_canvas(*p)));
         scene.outlined(corners, Paint::Colour(colour(*log, largest)), border);
     }
     plot.draw_axes(&mut scene);

@@ -293,7 +293,7 @@ impl PlotFrame<'_> {
             (self.left, self.bottom),
             (self.right, self.bottom),
         ];
-        scene.line(VectorPath::polyline(corner, false), axis);
+        scene.line(VectorPath::open_line(corner), axis);
     }
 
     /// Draws the names of the axes.
@@ -320,7 +320,7 @@ impl PlotFrame<'_> {
         let has_line = |s: &&Series| s.is_joined && s.interval != Interval::BandEdges;
         for series in self.chart.series.iter().filter(has_line) {
             let points = series.points.iter().map(|p| (self.x(p.x), self.y(p.y)));
-            scene.line(VectorPath::polyline(points, false), series.style.stroke());
+            scene.line(VectorPath::open_line(points), series.style.stroke());
         }
         for mark in &self.chart.marks {
             self.draw_stated_point(scene, mark);
@@ -378,7 +378,7 @@ impl PlotFrame<'_> {
                 .iter()
                 .rev()
                 .map(|p| (self.x(p.x), self.y(p.y - p.y_half_width)));
-            scene.area(VectorPath::polyline(upper.chain(lower), true), series.style.paint, 0.25);
+            scene.area(VectorPath::closed_line(upper.chain(lower)), series.style.paint, 0.25);
         }
         match series.interval {
             Interval::Bars | Interval::Crosses | Interval::LightBand => {}
@@ -388,7 +388,7 @@ impl PlotFrame<'_> {
                     let edge = with_interval
                         .iter()
                         .map(|p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)));
-                    scene.line(VectorPath::polyline(edge, false), series.style.stroke());
+                    scene.line(VectorPath::open_line(edge), series.style.stroke());
                 }
                 return;
             }
@@ -426,10 +426,10 @@ impl PlotFrame<'_> {
                 .map(move |p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)))
         };
         let outline: Vec<(f64, f64)> = edge(1.0).chain(edge(-1.0).rev()).collect();
-        scene.area(VectorPath::polyline(outline, true), paint, 0.12);
+        scene.area(VectorPath::closed_line(outline), paint, 0.12);
         for sign in [1.0, -1.0] {
             let thin = Stroke::solid(paint, 0.4).with_opacity(0.6);
-            scene.line(VectorPath::polyline(edge(sign), false), thin);
+            scene.line(VectorPath::open_line(edge(sign)), thin);
         }
     }
 
@@ -490,10 +490,7 @@ impl PlotFrame<'_> {
             let tip = (y + direction * 13.0).clamp(self.top - 4.0, self.bottom);
             let mut arrow = VectorPath::segment((x, y), (x, tip));
             let barb = tip - direction * 3.0;
-            arrow.extend(VectorPath::polyline(
-                [(x - 2.0, barb), (x, tip), (x + 2.0, barb)],
-                false,
-            ));
+            arrow.extend(VectorPath::open_line([(x - 2.0, barb), (x, tip), (x + 2.0, barb)]));
             scene.line(arrow, Stroke::solid(mark.style.paint, 0.8 * LINE_WIDTH));
         }
         mark.style.draw_hollow_marker(scene, (x, y));

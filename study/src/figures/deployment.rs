@@ -201,14 +201,11 @@ impl AreaPlot {
             for (cell, cluster) in cells.iter().zip(cluster_of) {
                 let tint = TINTS[tints[*cluster as usize]];
                 let corners = cell.iter().map(|p| self.to_canvas(*p));
-                scene.area(VectorPath::polyline(corners, true), Paint::Colour(tint), 1.0);
+                scene.area(VectorPath::closed_line(corners), Paint::Colour(tint), 1.0);
             }
         }
         for cell in &cells {
-            scene.line(
-                VectorPath::polyline(cell.iter().map(|p| self.to_canvas(*p)), true),
-                border,
-            );
+            scene.line(VectorPath::closed_line(cell.iter().map(|p| self.to_canvas(*p))), border);
         }
         if let Some(cluster_of) = &event_scene.clusters {
             for (from, to) in cell_map::cluster_borders(&event_scene.positions, &cells, cluster_of) {
@@ -230,11 +227,11 @@ impl AreaPlot {
                 arc.push(self.to_canvas(p));
             } else if !arc.is_empty() {
                 // The circle leaves the area here, so the next point inside begins another arc.
-                scene.line(VectorPath::polyline(std::mem::take(&mut arc), false), stroke);
+                scene.line(VectorPath::open_line(std::mem::take(&mut arc)), stroke);
             }
         }
         if !arc.is_empty() {
-            scene.line(VectorPath::polyline(arc, false), stroke);
+            scene.line(VectorPath::open_line(arc), stroke);
         }
         draw_star(scene, self.to_canvas(centre));
     }

@@ -175,7 +175,7 @@ fn run_digests(condition: &RunCondition, name: &str, n: u32) -> Vec<(u64, [u8; 3
 
 /// Returns the values of the policy's own knobs.
 fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
-    let prefix = format!("policy.{}.", series::policy(name).0);
+    let prefix = format!("policy.{}.", series::split_policy(name).0);
     let own = condition.all_changes().filter(|(path, _)| path.starts_with(&prefix));
     own.map(|(_, value)| value.as_str()).collect()
 }

@@ -154,7 +154,7 @@ impl HeatGrid<'_> {
                     0.5 * (corners[0] + corners[2]),
                     0.5 * (corners[1] + corners[3]) + 0.36 * TEXT_SIZE,
                 );
-                let mut text = Text::new(number(cell.value), at, TEXT_SIZE).anchored(Anchor::Middle);
+                let mut text = Text::new(short_number(cell.value), at, TEXT_SIZE).anchored(Anchor::Middle);
                 text.paint = contrast_colour(colour);
                 scene.text(text);
             }
@@ -293,7 +293,7 @@ pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64)
             VectorPath::segment((x, top + COLOUR_SCALE_HEIGHT), (x, top + COLOUR_SCALE_HEIGHT + 2.0)),
             Stroke::solid(Paint::Ink, 0.5),
         );
-        let text = Text::new(number(value), (x, top + COLOUR_SCALE_HEIGHT + LEADING), TEXT_SIZE);
+        let text = Text::new(short_number(value), (x, top + COLOUR_SCALE_HEIGHT + LEADING), TEXT_SIZE);
         scene.text(text.anchored(Anchor::Middle));
     }
     top + COLOUR_SCALE_HEIGHT + LEADING + 0.24 * TEXT_SIZE
@@ -333,7 +333,7 @@ fn draw_hatching(scene: &mut Scene, corners: Rect) {
 /// Draws the mark in the upper right corner of a cell.
 fn draw_corner_mark(scene: &mut Scene, [_, top, right, _]: Rect, paint: Paint) {
     let points = [(right - CORNER_SIZE, top), (right, top), (right, top + CORNER_SIZE)];
-    scene.area(VectorPath::polyline(points, true), paint, 1.0);
+    scene.area(VectorPath::closed_line(points), paint, 1.0);
 }
 
 /// Returns the colour of `value` on a scale of ±`largest`. It follows the square root of the share, so that small
@@ -375,7 +375,7 @@ pub(super) fn contrast_colour(ground: Rgb) -> Paint {
 
 /// Formats a number in short form: two decimals below 10, one below 100, then none; thousands from 10 000 on with k,
 /// and millions with M.
-pub fn number(value: f64) -> String {
+pub fn short_number(value: f64) -> String {
     let size = value.abs();
     // The limits lie where rounding would add a digit: 9999.5 would become 10000.
     for (from, unit, name, step) in [
@@ -438,6 +438,6 @@ mod tests {
         let expected = [
             "0", "0", "0.01", "−9.96", "10.0", "−12.3", "100", "230", "−1234", "12k", "25M",
         ];
-        assert_eq!(values.map(number), expected.map(str::to_owned));
+        assert_eq!(values.map(short_number), expected.map(str::to_owned));
     }
 }

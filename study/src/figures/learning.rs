@@ -271,7 +271,7 @@ impl CurvePanel {
         for (i, (_, learned)) in sources.iter().enumerate() {
             let (style, curve) = (Style::from_palette(i), curve(learned, row));
             if curve.len() > 1 {
-                scene.line(VectorPath::polyline(curve.iter().map(at), false), style.stroke());
+                scene.line(VectorPath::open_line(curve.iter().map(at)), style.stroke());
             }
             if curve.len() <= MAX_MARKED_POINTS {
                 for point in curve {
@@ -308,7 +308,7 @@ impl CurvePanel {
             }
         }
         scene.line(
-            VectorPath::polyline([(left, top), (left, bottom), (right, bottom)], false),
+            VectorPath::open_line([(left, top), (left, bottom), (right, bottom)]),
             axis,
         );
         if self.is_in_last_row {

@@ -53,7 +53,7 @@ pub fn scene(misses: &Misses) -> Scene {
         let border = Stroke::solid(Paint::Ink, 0.5).with_opacity(0.3);
         for cell in voronoi_cells(&misses.positions, scenario.area) {
             let corners = cell.iter().map(|p| plot.to_canvas(*p));
-            scene.line(VectorPath::polyline(corners, true), border);
+            scene.line(VectorPath::closed_line(corners), border);
         }
     }
     plot.draw_axes(&mut scene);

@@ -31,8 +31,8 @@ pub enum PathStep {
 pub struct VectorPath(pub Vec<PathStep>);
 
 impl VectorPath {
-    /// Creates straight lines through `points`, closed into a polygon if `closed` is set.
-    pub(crate) fn polyline(points: impl IntoIterator<Item = (f64, f64)>, closed: bool) -> Self {
+    /// Creates straight lines through `points`.
+    pub(crate) fn open_line(points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let mut steps: Vec<PathStep> = Vec::new();
         for (x, y) in points {
             steps.push(if steps.is_empty() {
@@ -41,20 +41,26 @@ impl VectorPath {
                 PathStep::Line(x, y)
             });
         }
-        if closed && !steps.is_empty() {
-            steps.push(PathStep::Close);
-        }
         Self(steps)
+    }
+
+    /// Creates straight lines through `points` and back to the first: a polygon.
+    pub(crate) fn closed_line(points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        let mut path = Self::open_line(points);
+        if !path.0.is_empty() {
+            path.0.push(PathStep::Close);
+        }
+        path
     }
 
     /// Creates one straight line.
     pub fn segment(from: (f64, f64), to: (f64, f64)) -> Self {
-        Self::polyline([from, to], false)
+        Self::open_line([from, to])
     }
 
     /// Creates a rectangle from its left, top, right and bottom.
     pub fn rectangle([left, top, right, bottom]: Rect) -> Self {
-        Self::polyline([(left, top), (right, top), (right, bottom), (left, bottom)], true)
+        Self::closed_line([(left, top), (right, top), (right, bottom), (left, bottom)])
     }
 
     /// Creates a circle from four cubic curves.
@@ -80,7 +86,7 @@ impl VectorPath {
             (x + reach * cos(angle), y + reach * sin(angle))
         };
         let step = if inner < 1.0 { 1 } else { 2 };
-        Self::polyline((0..2 * n).step_by(step).map(corner), true)
+        Self::closed_line((0..2 * n).step_by(step).map(corner))
     }
 
     /// Returns the path shifted by the given offset.
@@ -172,7 +178,7 @@ mod tests {
 
     #[test]
     fn bounds_contain_nan_if_the_last_point_does() {
-        let path = VectorPath::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
+        let path = VectorPath::open_line([(1.0, 1.0), (f64::NAN, 2.0)]);
         assert!(path.bounds()[0].is_nan());
     }
 

@@ -198,7 +198,7 @@ fn merge_rankings(by_ranking: &[RunCondition]) -> Vec<RunCondition> {
         for index in &indices {
             let ranking = by_ranking[*index].ranking();
             for ((policy, n), runs_by_seed) in &by_ranking[*index].runs {
-                let key = (series::name(policy, &ranking), *n);
+                let key = (series::join_name(policy, &ranking), *n);
                 let by_paper_ranking = runs.get(&(policy.clone(), *n)).filter(|_| key.0 != *policy);
                 let rows = || runs_by_seed.values().map(Arc::as_ref);
                 if !by_paper_ranking
@@ -311,7 +311,9 @@ impl RunCondition {
             }
         }
         let rank = |series: &str| {
-            let listed = POLICIES.iter().position(|policy| *policy == series::policy(series).0);
+            let listed = POLICIES
+                .iter()
+                .position(|policy| *policy == series::split_policy(series).0);
             listed.unwrap_or(POLICIES.len())
         };
         names.sort_by_key(|series| rank(series));

@@ -18,7 +18,7 @@ use reveille_lab::metric_estimate::MetricEstimate;
 
 /// One of the paper's figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Figure {
+pub struct PaperFigure {
     /// Name in commands and files.
     pub name: &'static str,
     /// Metric along y, from `Metrics::NAMES`.
@@ -36,9 +36,9 @@ pub struct Figure {
 }
 
 /// Figures against N, in the paper's order.
-pub const FIGURES: [Figure; 8] = {
-    const fn figure(name: &'static str, metric: &'static str, title: &'static str, paper: &'static str) -> Figure {
-        Figure {
+pub const PAPER_FIGURES: [PaperFigure; 8] = {
+    const fn figure(name: &'static str, metric: &'static str, title: &'static str, paper: &'static str) -> PaperFigure {
+        PaperFigure {
             name,
             metric,
             is_per_device: false,
@@ -49,7 +49,7 @@ pub const FIGURES: [Figure; 8] = {
         }
     }
     [
-        Figure {
+        PaperFigure {
             claims_metric: "info_per_event",
             ..figure("information", "info_p1", "Information, objective of P1", "Fig. 7")
         },
@@ -60,14 +60,14 @@ pub const FIGURES: [Figure; 8] = {
             "Fig. 7",
         ),
         figure("energy", "energy_per_device_tti", "Energy consumption", "Fig. 8"),
-        Figure {
+        PaperFigure {
             is_log: true,
             ..figure("misdetection", "misdetection_pct", "Misdetections", "Fig. 9")
         },
         figure("low-energy", "low_energy_pct", "Devices too low to transmit", "Fig. 10"),
         figure("battery", "mean_battery", "Mean battery level", "Fig. 11"),
         figure("wrong", "wrong_activations_per_event", "Wrong activations", "Fig. 12a"),
-        Figure {
+        PaperFigure {
             is_per_device: true,
             ..figure(
                 "wasted",
@@ -84,17 +84,21 @@ pub const FIGURES: [Figure; 8] = {
 ///
 /// # Errors
 /// A name is in neither list.
-pub fn select_figures(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
-    let is_known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
+pub fn select_figures(names: &[String], others: &[&str]) -> Result<Vec<PaperFigure>, FigureError> {
+    let is_known = |name: &String| PAPER_FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
     if let Some(unknown) = names.iter().find(|name| !is_known(name)) {
-        let all_names: Vec<&str> = FIGURES.iter().map(|f| f.name).chain(others.iter().copied()).collect();
+        let all_names: Vec<&str> = PAPER_FIGURES
+            .iter()
+            .map(|f| f.name)
+            .chain(others.iter().copied())
+            .collect();
         return Err(FigureError::UnknownFigure {
             name: unknown.clone(),
             known: all_names.join(", "),
         });
     }
-    let is_chosen = |f: &Figure| names.is_empty() || names.iter().any(|name| name == f.name);
-    Ok(FIGURES.into_iter().filter(is_chosen).collect())
+    let is_chosen = |f: &PaperFigure| names.is_empty() || names.iter().any(|name| name == f.name);
+    Ok(PAPER_FIGURES.into_iter().filter(is_chosen).collect())
 }
 
 /// A figure ready to be drawn, with the policies that it lacks.
@@ -106,7 +110,7 @@ pub struct Drawing {
     pub policies_without_value: Vec<String>,
 }
 
-impl Figure {
+impl PaperFigure {
     /// Draws the runs of `condition`, with a line for each policy. `None` if no run has a value of the metric.
     pub fn draw(&self, condition: &RunCondition) -> Option<Drawing> {
         let mut series = Vec::new();
@@ -207,7 +211,7 @@ impl Figure {
             } else {
                 0.0
             };
-            // No metric in `FIGURES` can be negative, whatever an interval says.
+            // No metric in `PAPER_FIGURES` can be negative, whatever an interval says.
             [(p.y - half_width).max(p.y.min(0.0)), p.y + half_width]
         };
         let measured = series.iter().flat_map(|s| &s.points);

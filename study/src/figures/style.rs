@@ -145,7 +145,7 @@ impl Style {
     /// Returns the style of a series by name, the same in all figures. A series with another ranking has its policy's
     /// colour with another marker and other dashes.
     pub fn of_policy(series: &str) -> Self {
-        let (name, is_ranked) = series::policy(series);
+        let (name, is_ranked) = series::split_policy(series);
         let index = POLICY_STYLES.iter().position(|(listed, _)| *listed == name);
         let style = index.map_or_else(|| Self::of_unlisted_policy(name), |index| POLICY_STYLES[index].1);
         if !is_ranked {

@@ -298,7 +298,7 @@ impl TtiAxis {
         };
         let y = |units: f64| bottom - scale.position(units) * (bottom - top - 4.0);
         let frame = [(PLOT_LEFT, top), (PLOT_LEFT, bottom), (PLOT_RIGHT, bottom)];
-        scene.line(VectorPath::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
+        scene.line(VectorPath::open_line(frame), Stroke::solid(Paint::Ink, 0.7));
         for value in [0.0, 0.5 * energy.e_max.units(), energy.e_max.units()] {
             let at = (PLOT_LEFT - 4.0, y(value) + 0.36 * TEXT_SIZE);
             scene.text(Text::new(format_significant(value, 3), at, TEXT_SIZE).anchored(Anchor::End));
@@ -314,10 +314,7 @@ impl TtiAxis {
             let (k, level) = (entry.tti.0 as f64, y(entry.battery.units()));
             [(self.x(k), level), (self.x(k + 1.0), level)]
         });
-        scene.line(
-            VectorPath::polyline(steps, false),
-            Stroke::solid(Paint::Colour(BLUE), 1.1),
-        );
+        scene.line(VectorPath::open_line(steps), Stroke::solid(Paint::Colour(BLUE), 1.1));
         let mut label = Text::new(
             format!("device {id}"),
             (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (top + bottom)),
@@ -406,7 +403,7 @@ const fn threshold_stroke() -> Stroke {
 
 /// Draws the mark of a wake-up: a small arrowhead that points up, with its tip at `y - 5`.
 fn draw_arrow(scene: &mut Scene, x: f64, y: f64) {
-    let arrowhead = VectorPath::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
+    let arrowhead = VectorPath::closed_line([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)]);
     scene.area(arrowhead, Paint::Colour(GREEN), 1.0);
 }
 

@@ -124,9 +124,9 @@ impl Host {
             }
         }
         assert!(changes.next().is_none(), "changes of TTIs outside the grant");
-        assert_eq!(plan_count, grant.plans, "number of plans in the grant");
+        assert_eq!(plan_count, grant.plan_count, "number of plans in the grant");
         let current_plan_from = (0..=grant.last.0).rev().find(|&k| self.plans[k as usize].is_some());
-        assert_eq!(current_plan_from, Some(grant.plan.0), "first TTI of the current plan");
+        assert_eq!(current_plan_from, Some(grant.plan_from.0), "first TTI of the current plan");
         let detecting_devices: Vec<usize> = (0..self.duties.len())
             .filter(|&j| {
                 let is_in_range = |stimulus: Stimulus| {
@@ -217,19 +217,19 @@ fn draw_grant(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage>
         stimulus,
         // From `last` to 6 TTIs after it.
         until: draw_tti_near(last.0 + 2, input)?,
-        account: input.arbitrary()?,
-        views: input.arbitrary()?,
-        plan: if is_regular {
+        wants_totals: input.arbitrary()?,
+        wants_views: input.arbitrary()?,
+        plan_from: if is_regular {
             Tti(plan_ttis(0, last.0).next_back().unwrap_or(0))
         } else {
             draw_tti_near(host.next, input)?
         },
-        plans: if is_regular {
+        plan_count: if is_regular {
             plan_ttis(first.0, last.0).count() as u32
         } else {
             input.int_in_range(0..=3)?
         },
-        changes: 0,
+        change_count: 0,
     })
 }
 

@@ -224,7 +224,7 @@ impl HostRecords {
                     },
                 };
                 self.barrier
-                    .receive_answer(host, HostAnswer::NotWoken { device, tti, outcome });
+                    .receive_answer(host, HostAnswer::NoReport { device, tti, outcome });
             }
             3 => {
                 let ledgers = Vec::new();

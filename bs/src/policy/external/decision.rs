@@ -28,8 +28,8 @@ pub struct DecisionContext<'a> {
     pub observation: Observation<'a>,
     /// Reports of the last TTI with reports: the first ones by device id, then the answers to wake-ups in their order.
     /// At [`DecisionStage::Wake`] that is this TTI.
-    pub heard: &'a [Report],
-    /// By device, whether it was woken in the TTI of [`Self::heard`], with or without an answer.
+    pub reports: &'a [Report],
+    /// By device, whether it was woken in the TTI of [`Self::reports`], with or without an answer.
     pub woken: &'a [bool],
     /// History of the run before this decision.
     pub history: &'a ReportHistory,

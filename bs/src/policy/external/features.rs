@@ -189,7 +189,7 @@ impl DecisionContext<'_> {
         let (reports, woken) = match self.stage {
             DecisionStage::Plan => (0.0, 0),
             DecisionStage::Wake => (
-                self.heard.len() as f64,
+                self.reports.len() as f64,
                 self.woken.iter().filter(|woken| **woken).count(),
             ),
         };

@@ -43,8 +43,8 @@ pub struct External {
     pending_plan: Option<PlanDecision>,
     /// TTI of the next plan request.
     next_plan_request: Tti,
-    /// See [`DecisionContext::heard`].
-    heard: Vec<Report>,
+    /// See [`DecisionContext::reports`].
+    reports: Vec<Report>,
     /// See [`DecisionContext::woken`].
     woken: Vec<bool>,
     /// Devices that are still to be woken.
@@ -60,7 +60,7 @@ impl External {
         Self {
             pending_plan: None,
             next_plan_request: Tti::ZERO,
-            heard: Vec::new(),
+            reports: Vec::new(),
             woken: vec![false; known.n()],
             wake_queue: VecDeque::new(),
             are_wake_ups_done: true,
@@ -88,7 +88,7 @@ impl External {
         DecisionContext {
             stage,
             observation,
-            heard: &self.heard,
+            reports: &self.reports,
             woken: &self.woken,
             history: &self.history,
         }
@@ -137,8 +137,8 @@ impl Policy for External {
         // The TTIs before this one pass first, since the reports belong to this one.
         self.history.advance(seen.now, seen.plan);
         self.history.start_event(reports);
-        self.heard.clear();
-        self.heard.extend_from_slice(reports);
+        self.reports.clear();
+        self.reports.extend_from_slice(reports);
         self.woken.fill(false);
         self.wake_queue.clear();
         self.are_wake_ups_done = false;
@@ -151,7 +151,7 @@ impl Policy for External {
     fn take_wake_up_answer(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             self.history.add_report(report);
-            self.heard.push(*report);
+            self.reports.push(*report);
         }
     }
 

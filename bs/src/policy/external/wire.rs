@@ -253,7 +253,8 @@ pub struct DecisionRequest {
     pub globals: FloatRows,
     /// By device, as in a Gymnasium mask: 2 if the action may be 0 or 1, 0 if a 1 would have no effect.
     pub action_mask: Octets,
-    /// At [`RequestKind::Wake`], the reports of this TTI, in the order of [`DecisionContext::heard`]; otherwise empty.
+    /// At [`RequestKind::Wake`], the reports of this TTI, in the order of [`DecisionContext::reports`]; otherwise
+    /// empty.
     pub heard: Vec<ReportInfo>,
     /// Reason why the last reply to this request was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -270,9 +271,9 @@ impl DecisionRequest {
         context.write_globals(&mut globals);
         context.write_mask(&mut mask);
         // At `DecisionStage::Plan` the context still holds the reports of an earlier TTI.
-        let heard = match context.stage {
+        let reports = match context.stage {
             DecisionStage::Plan => &[],
-            DecisionStage::Wake => context.heard,
+            DecisionStage::Wake => context.reports,
         };
         Self {
             head: WireHeader {
@@ -291,7 +292,7 @@ impl DecisionRequest {
                 values: globals,
             },
             action_mask: Octets(mask.into_iter().map(i8::cast_unsigned).collect()),
-            heard: heard
+            heard: reports
                 .iter()
                 .map(|report| ReportInfo {
                     device: report.device.0,

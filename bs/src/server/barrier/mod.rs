@@ -242,7 +242,7 @@ impl Barrier {
     /// Takes in an answer from `host`. Returns whether the barrier is complete.
     pub fn receive_answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
         let is_for_granted_tti = match &answer {
-            HostAnswer::GrantDone { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.was_granted(*tti),
+            HostAnswer::GrantDone { tti, .. } | HostAnswer::NoReport { tti, .. } => self.was_granted(*tti),
             HostAnswer::Ledgers { .. } => false,
         };
         let is_open = self.concerns_open_wait(&answer);
@@ -263,7 +263,7 @@ impl Barrier {
             (BarrierState::Grant { tti, .. }, HostAnswer::GrantDone { tti: answered_tti, .. }) => tti == answered_tti,
             (
                 BarrierState::WakeUp { tti, device, .. },
-                HostAnswer::NotWoken {
+                HostAnswer::NoReport {
                     tti: answered_tti,
                     device: answered_device,
                     ..
@@ -334,7 +334,7 @@ impl Barrier {
             }
             (
                 BarrierState::WakeUp { tti, device, outcome },
-                HostAnswer::NotWoken {
+                HostAnswer::NoReport {
                     device: answered_device,
                     tti: answered_tti,
                     outcome: answered_outcome,

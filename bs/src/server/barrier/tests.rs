@@ -146,7 +146,7 @@ fn repeated_messages_after_a_takeover_count_once() {
 
 #[test]
 fn a_wake_up_waits_for_its_device() {
-    let not_woken = |tti| HostAnswer::NotWoken {
+    let no_report = |tti| HostAnswer::NoReport {
         device: DeviceId(3),
         tti: Tti(tti),
         outcome: WakeOutcome::Missed,
@@ -154,12 +154,12 @@ fn a_wake_up_waits_for_its_device() {
     let mut barrier = Barrier::new(two_host_roster());
     barrier.expect_wake(Tti(5), DeviceId(3));
     assert!(!receive_from_own_host(&mut barrier, report(4, 5)));
-    assert!(!barrier.receive_answer(HostId(0), not_woken(4)));
+    assert!(!barrier.receive_answer(HostId(0), no_report(4)));
     assert!(
-        !barrier.receive_answer(HostId(1), not_woken(5)),
+        !barrier.receive_answer(HostId(1), no_report(5)),
         "another host's device"
     );
     assert_eq!(barrier.missing_hosts(), [HostId(0)]);
-    assert!(barrier.receive_answer(HostId(0), not_woken(5)));
+    assert!(barrier.receive_answer(HostId(0), no_report(5)));
     assert_eq!(barrier.take_wake_outcome(), WakeOutcome::Missed);
 }

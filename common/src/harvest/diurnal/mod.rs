@@ -177,8 +177,8 @@ impl Diurnal {
         let zenith_probability = self.zenith_probability(tau);
         DiurnalSetup {
             sun: self.sun,
-            zenith: zenith_probability,
-            mean: zenith_probability * self.mean_irradiance,
+            zenith_probability,
+            mean_probability: zenith_probability * self.mean_irradiance,
             e_b: self.arrivals.e_b,
             known: self.known,
         }
@@ -191,9 +191,9 @@ pub struct DiurnalSetup {
     /// Place and time.
     pub sun: Sun,
     /// Probability of an arrival in a TTI for an irradiance of 1, ≥ 0. It may exceed 1 where the sun stays lower.
-    pub zenith: f64,
+    pub zenith_probability: f64,
     /// Mean probability of an arrival in a TTI, `[0, 1)`.
-    pub mean: f64,
+    pub mean_probability: f64,
     /// Energy E_B of an arrival.
     pub e_b: Energy,
     /// The base station's knowledge.
@@ -213,16 +213,16 @@ impl DiurnalSetup {
             && (1..=365).contains(&day_of_year)
             && (0.0..24.0).contains(&start_hour)
             && (1..=MAX_TTIS_PER_DAY).contains(&ttis_per_day);
-        let noon_probability = self.zenith * self.sun.noon_irradiance();
+        let noon_probability = self.zenith_probability * self.sun.noon_irradiance();
         is_a_day
-            && self.zenith >= 0.0
+            && self.zenith_probability >= 0.0
             && (0.0..MAX_ARRIVAL_PROBABILITY).contains(&noon_probability)
-            && (0.0..1.0).contains(&self.mean)
+            && (0.0..1.0).contains(&self.mean_probability)
     }
 
     /// The mean harvest per TTI.
     pub(super) fn mean(&self) -> Energy {
-        expected_energy(self.mean, self.e_b)
+        expected_energy(self.mean_probability, self.e_b)
     }
 
     /// The expected harvest in the first `ttis` TTIs, micro-units.
@@ -230,7 +230,7 @@ impl DiurnalSetup {
         let day = u64::from(self.sun.ttis_per_day);
         let (days, rest) = (ttis / day, (ttis % day) as usize);
         let (mut whole_day, mut part) = (0.0, 0.0);
-        for (tti, p) in self.sun.arrival_probabilities(self.zenith).enumerate() {
+        for (tti, p) in self.sun.arrival_probabilities(self.zenith_probability).enumerate() {
             whole_day += p;
             if tti < rest {
                 part += p;
@@ -241,7 +241,7 @@ impl DiurnalSetup {
 
     /// The longest night of the first `ttis` TTIs: TTIs in which no energy can arrive.
     pub(super) fn longest_gap(&self, ttis: u64) -> u64 {
-        let by_tti: Vec<f64> = self.sun.arrival_probabilities(self.zenith).collect();
+        let by_tti: Vec<f64> = self.sun.arrival_probabilities(self.zenith_probability).collect();
         let is_dark = |p: &f64| *p <= 0.0 || self.e_b == Energy::ZERO;
         longest_gap(by_tti.iter().map(|p| (is_dark(p), 1)), false, ttis)
     }
@@ -251,7 +251,7 @@ impl DiurnalSetup {
         match self.known {
             DayKnowledge::Course => None,
             DayKnowledge::Mean => Some(ArrivalsSetup {
-                p: self.mean,
+                p: self.mean_probability,
                 e_b: self.e_b,
             }),
         }
@@ -260,7 +260,10 @@ impl DiurnalSetup {
     /// The expected energy by time of day, if it is known.
     pub(super) fn day_profile(&self) -> Option<DayProfile> {
         match self.known {
-            DayKnowledge::Course => Some(DayProfile::new(self.sun.arrival_probabilities(self.zenith), self.e_b)),
+            DayKnowledge::Course => Some(DayProfile::new(
+                self.sun.arrival_probabilities(self.zenith_probability),
+                self.e_b,
+            )),
             DayKnowledge::Mean => None,
         }
     }
@@ -268,7 +271,7 @@ impl DiurnalSetup {
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, shared: &SharedSourceData, stream: Stream) -> (DiurnalSource, Tti) {
         let mut source = DiurnalSource {
-            hazards: shared.hazards(&self.sun, self.zenith),
+            hazards: shared.hazards(&self.sun, self.zenith_probability),
             stream,
             e_b: self.e_b,
         };

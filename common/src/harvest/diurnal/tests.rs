@@ -126,15 +126,15 @@ fn the_mean_equals_eq5_or_its_product_with_the_mean_irradiance() {
         let HarvestSetup::Diurnal(setup) = Harvest::Diurnal(diurnal).setup(TAU, NO_TRACE) else {
             panic!("{diurnal:?}");
         };
-        assert!((setup.mean - eq5_probability).abs() < 1e-12, "{setup:?}");
+        assert!((setup.mean_probability - eq5_probability).abs() < 1e-12, "{setup:?}");
         let eq5 = Harvest::Eq5(diurnal.arrivals).setup(TAU, NO_TRACE).mean(&[]);
         assert_eq!(Harvest::Diurnal(diurnal).setup(TAU, NO_TRACE).mean(&[]), eq5);
         let zenith_setup = diurnal_with(0.1, place, IrradianceReference::Zenith).setup(TAU);
         assert!(
-            (zenith_setup.mean - eq5_probability * place.mean_irradiance()).abs() < 1e-12,
+            (zenith_setup.mean_probability - eq5_probability * place.mean_irradiance()).abs() < 1e-12,
             "{zenith_setup:?}"
         );
-        assert!(zenith_setup.zenith.to_bits() == eq5_probability.to_bits() && zenith_setup.is_valid());
+        assert!(zenith_setup.zenith_probability.to_bits() == eq5_probability.to_bits() && zenith_setup.is_valid());
         // The profile's sum over a day is its 288 TTIs times their mean.
         let profile = setup.day_profile().expect("known");
         let day_units = profile.energy_between(Tti(1000), Tti(1288)).units();
@@ -259,7 +259,14 @@ fn an_invalid_setup_is_detected() {
     for sun in suns {
         assert!(!DiurnalSetup { sun, ..valid }.is_valid(), "{sun:?}");
     }
-    for zenith in [f64::NAN, -0.1, 100.0] {
-        assert!(!DiurnalSetup { zenith, ..valid }.is_valid(), "{zenith}");
+    for zenith_probability in [f64::NAN, -0.1, 100.0] {
+        assert!(
+            !DiurnalSetup {
+                zenith_probability,
+                ..valid
+            }
+            .is_valid(),
+            "{zenith_probability}"
+        );
     }
 }

@@ -191,7 +191,12 @@ impl SweepSummary<'_> {
                 let metrics: Map<String, Json> = Metrics::ALL
                     .iter()
                     .map(|metric| metric.name)
-                    .map(|name| (name.to_owned(), cell.reading(name).map_or(Json::Null, estimate_json)))
+                    .map(|name| {
+                        (
+                            name.to_owned(),
+                            cell.metric_estimate(name).map_or(Json::Null, estimate_json),
+                        )
+                    })
                     .collect();
                 let values = schema.swept.iter().zip(cell.swept.iter());
                 let swept: Map<String, Json> = values
@@ -230,7 +235,7 @@ fn format_table(own: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[
         .set_header(own_headings.chain(headings));
     for (labels, cell) in rows {
         let estimates = metrics.iter().map(|(metric, _)| {
-            let text = format_estimate(cell.reading(metric));
+            let text = format_estimate(cell.metric_estimate(metric));
             text.replace(" ± ", "\n±").replace(", <", "\n<").replace(", >", "\n>")
         });
         table.add_row(labels.iter().cloned().chain(estimates));
@@ -280,33 +285,33 @@ fn swept_json(value: &SweptValue) -> Json {
     }
 }
 
-fn estimate_json(reading: MetricEstimate) -> Json {
+fn estimate_json(estimate: MetricEstimate) -> Json {
     let Estimate {
         mean,
         deviation,
         half_width,
         runs,
-    } = reading.estimate;
+    } = estimate.estimate;
     json!({
         "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs,
-        "upper_bound": reading.upper_bound, "lower_bound": reading.lower_bound,
+        "upper_bound": estimate.upper_bound, "lower_bound": estimate.lower_bound,
     })
 }
 
-/// Formats a reading as `0.1473 ± 0.0012`, with the digits that the interval justifies; `0.013, < 0.040` if there is
+/// Formats an estimate as `0.1473 ± 0.0012`, with the digits that the interval justifies; `0.013, < 0.040` if there is
 /// only a bound.
-fn format_estimate(reading: Option<MetricEstimate>) -> String {
-    let Some(reading) = reading else {
+fn format_estimate(estimate: Option<MetricEstimate>) -> String {
+    let Some(estimate) = estimate else {
         return "–".to_owned();
     };
-    let Estimate { mean, half_width, .. } = reading.estimate;
+    let Estimate { mean, half_width, .. } = estimate.estimate;
     // Two significant digits of the uncertainty.
     let digits = |unsure: f64| decimals_for(unsure, 2);
-    match reading.upper_bound {
+    match estimate.upper_bound {
         Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
         Some(upper) => format!("{mean:.digits$}, < {upper:.digits$}", digits = digits(upper)),
-        None if reading.lower_bound.is_some() => {
-            let lower = reading.lower_bound.unwrap_or(mean);
+        None if estimate.lower_bound.is_some() => {
+            let lower = estimate.lower_bound.unwrap_or(mean);
             format!("{mean:.0}, > {lower:.*}", digits(mean - lower))
         }
         // A single run has no interval.

@@ -141,10 +141,10 @@ fn print_status(status: &DtTrainingStatus) {
          off by {:.3}{best}",
         status.step,
         status.loss,
-        score.looks,
+        score.look_gain,
         100.0 * score.accuracy,
         100.0 * score.plain_accuracy,
-        score.wakes,
+        score.wake_gain,
         score.price_error
     );
 }
@@ -168,9 +168,9 @@ fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
             ..settings.weights.shape()
         },
         steps: args.steps,
-        batch: args.batch as usize,
-        rate: args.rate,
-        every: EVALUATION_INTERVAL,
+        batch_device_ttis: args.batch as usize,
+        learning_rate: args.rate,
+        evaluation_interval: EVALUATION_INTERVAL,
         patience: args.patience,
         seed: args.seed,
     })

@@ -10,7 +10,7 @@ use reveille_common::scenario::WakeUpRanking;
 
 use super::super::heat::KnowledgeDegree;
 use super::super::{learning, pareto, q_table};
-use super::{FigureError, Results, check, fixtures, scenario_with};
+use super::{FigureError, Results, check_properties, fixtures, scenario_with};
 
 /// Returns untrained tables for `n` devices.
 fn untrained(n: u32, weights: &QWeights) -> TableSet {
@@ -86,7 +86,7 @@ fn learning_curves_have_the_n_and_window_of_each_row() {
         ],
     ] {
         let scene = learning::scene(&sources).expect("a picture");
-        check("learning", &scene);
+        check_properties("learning", &scene);
         let mut sizes: Vec<u32> = sources
             .iter()
             .flat_map(|(_, tables)| &tables.entries)
@@ -151,9 +151,9 @@ fn tables_with_few_or_no_learned_cells_can_be_drawn() {
     all.push(untrained_tables);
     for learned in &all {
         for entry in &learned.entries {
-            check("q-table", &q_table::duty_scene(learned, entry));
+            check_properties("q-table", &q_table::duty_scene(learned, entry));
             for ranking in [WakeUpRanking::P42, WakeUpRanking::Posterior] {
-                check("wake", &q_table::wake_scene(learned, entry, ranking));
+                check_properties("wake", &q_table::wake_scene(learned, entry, ranking));
             }
         }
     }
@@ -242,7 +242,7 @@ fn information_against_energy_has_intervals_in_both_directions() {
     let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let chart = pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture");
-    check("pareto", &chart.scene());
+    check_properties("pareto", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(names, ["knn", "q-learning"], "dt has no information");
     let knn = &chart.series[0].points;
@@ -327,7 +327,7 @@ fn combined_settings_have_a_line_for_each_policy_and_equal_runs_once() {
         .collect();
     assert_eq!(labels, [("paper", 2), ("paper-literal", 1)]);
     let chart = pareto::INFORMATION_TRADE_OFF.chart(&groups[0].1).expect("a picture");
-    check("pareto-together", &chart.scene());
+    check_properties("pareto-together", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(
         names,

@@ -1,5 +1,5 @@
-//! Tests of whole figures. `check` covers what all have in common: content within the canvas, legible text, valid and
-//! reproducible files. The tests compare values and captions with the tables; appearance is not checked.
+//! Tests of whole figures. `check_properties` covers what all have in common: content within the canvas, legible text,
+//! valid and reproducible files. The tests compare values and captions with the tables; appearance is not checked.
 
 use std::path::Path;
 
@@ -45,8 +45,8 @@ fn results_for_metric(metric: &str) -> Results {
 }
 
 /// Returns the figure of the paper called `name`.
-fn figure_named(name: &str) -> study::Figure {
-    let mut figures = study::FIGURES.into_iter();
+fn figure_named(name: &str) -> study::PaperFigure {
+    let mut figures = study::PAPER_FIGURES.into_iter();
     figures.find(|figure| figure.name == name).expect("a figure")
 }
 
@@ -63,7 +63,7 @@ fn texts(scene: &Scene) -> Vec<&str> {
 
 /// Checks the properties that every figure must have. `name` is for messages and identifiers; nothing is compared with
 /// a stored picture.
-fn check(name: &str, scene: &Scene) {
+fn check_properties(name: &str, scene: &Scene) {
     assert!(
         scene.outside().is_empty(),
         "{name} reaches beyond the canvas: {:?}",
@@ -113,12 +113,12 @@ fn check(name: &str, scene: &Scene) {
 
 #[test]
 fn figures_of_the_paper_have_the_means_of_their_tables() {
-    for figure in study::FIGURES {
+    for figure in study::PAPER_FIGURES {
         let results = results_for_metric(figure.metric);
         let condition = &results.conditions[0];
         let drawing = figure.draw(condition).expect("a figure");
         let scene = drawing.chart.scene();
-        check(figure.name, &scene);
+        check_properties(figure.name, &scene);
         assert_eq!(png::png(&scene), png::png(&scene), "{}", figure.name);
         assert_eq!(drawing.policies_without_value, ["adjusted"], "{}", figure.name);
         let names: Vec<&str> = drawing.chart.series.iter().map(|series| series.name.as_str()).collect();
@@ -210,7 +210,7 @@ fn values_stated_for_several_n_are_hatched() {
             .collect();
         assert_eq!(spans, expected, "{name}");
         assert_eq!(chart.caption.contains("Hatched"), !expected.is_empty());
-        check(name, &chart.scene());
+        check_properties(name, &chart.scene());
     }
 }
 
@@ -243,7 +243,7 @@ fn harvest_and_net_charts_have_measured_points_and_marks() {
     let points = energy::measure_harvests("paper").expect("harvests");
     assert_eq!(points.len(), 27, "9 λ for each of 3 E_B");
     let harvest = energy::harvest_chart(condition, &points);
-    check("harvest", &harvest.scene());
+    check_properties("harvest", &harvest.scene());
     assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
     assert!(
         harvest.caption.contains(
@@ -254,7 +254,7 @@ fn harvest_and_net_charts_have_measured_points_and_marks() {
         harvest.caption
     );
     let net = energy::net_chart(condition, &points).expect("random and adjusted were run");
-    check("net", &net.scene());
+    check_properties("net", &net.scene());
     assert_eq!(net.marks.len(), 6);
     // Two runs of adjusted: t(1) = 12.706, and half of |0.31 - 0.30|.
     let half_width = net.series[0].points[0].y_half_width;
@@ -326,9 +326,9 @@ fn deployments_and_timelines_can_be_drawn_for_each_policy() {
             event_scene.event.tally.reports,
             "{policy}: the drawn reporters are the devices that reported"
         );
-        check("deployment", &deployment::scene(&scenario, &event_scene));
+        check_properties("deployment", &deployment::scene(&scenario, &event_scene));
         let shown = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
-        check("timeline", &timeline::scene(&scenario, &shown));
+        check_properties("timeline", &timeline::scene(&scenario, &shown));
     }
 }
 
@@ -350,7 +350,7 @@ fn device_classes_are_marked() {
     };
     let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
     let marked = deployment::scene(&scenario, &event_scene);
-    check("classes", &marked);
+    check_properties("classes", &marked);
     let legend = texts(&marked);
     for entry in ["class weak (9), without a ring", "class strong (3)"] {
         assert!(legend.iter().any(|text| text == entry), "{entry}: {legend:?}");
@@ -369,7 +369,7 @@ fn device_classes_are_marked() {
     };
     let shown = timeline::Timeline::from_scenario(&scenario, &[of_class(0), of_class(1)], 30, 60).expect("a timeline");
     let drawn = timeline::scene(&scenario, &shown);
-    check("class-timeline", &drawn);
+    check_properties("class-timeline", &drawn);
     let drawn = texts(&drawn);
     for entry in [
         "class weak: E_max 100, E_idle 1, E_WuR 0.00003, E_Tx 10 units",
@@ -389,7 +389,7 @@ fn an_event_without_a_report_can_be_drawn() {
         .find(|event| event.tally.reports == 0)
         .expect("an event without a report");
     let event_scene = deployment::EventScene::from_scenario(&scenario, Some(unreported.event.0)).expect("an event");
-    check("unreported", &deployment::scene(&scenario, &event_scene));
+    check_properties("unreported", &deployment::scene(&scenario, &event_scene));
 }
 
 #[test]
@@ -535,7 +535,7 @@ fn figures_are_selected_by_name() {
 fn missed_events_have_a_marker_and_a_count_for_each_cause() {
     let mut run_misses = Misses::new(scenario_with(&["devices=30"]));
     let scene_without_misses = misses::scene(&run_misses);
-    check("no misses", &scene_without_misses);
+    check_properties("no misses", &scene_without_misses);
     assert!(
         scene_without_misses.description.contains("No event was counted."),
         "{}",
@@ -556,7 +556,7 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
         }
     }
     let scene = misses::scene(&run_misses);
-    check("misses", &scene);
+    check_properties("misses", &scene);
     let texts = texts(&scene);
     for (cause, count) in run_misses.causes() {
         let entry = format!("{} ({count})", crate::misses::cause_name(cause));

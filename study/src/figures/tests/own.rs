@@ -7,7 +7,7 @@ use reveille_lab::table::{SweptValue, Table};
 use super::super::FigureError;
 use super::super::results::{Results, fixtures};
 use super::super::sweep::{SweepFigure, SweepFigureSpec};
-use super::check;
+use super::check_properties;
 
 /// Creates a table with three λ for knn and random at two N. The energy is 10 λ + N / 10, and 0.5 more for random.
 fn lambda_sweep() -> (String, Table) {
@@ -80,7 +80,7 @@ fn a_figure_has_means_and_intervals_against_a_field() {
             .starts_with("policy,harvest.lambda,metric,mean,half_width_95,runs\nknn,0.05,")
     );
     assert_eq!(figure.csv.lines().count(), 7);
-    check("own-sweep", &chart.scene());
+    check_properties("own-sweep", &chart.scene());
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn any_field_can_define_the_lines() {
     assert!((ys[0] - 1.5).abs() < 1e-12 && (ys[1] - 10.5).abs() < 1e-12);
     assert_eq!(figure.chart.x.ends(), (10.0, 100.0));
     assert!(figure.chart.caption.contains("policy = knn"));
-    check("own-sweep-log", &figure.chart.scene());
+    check_properties("own-sweep-log", &figure.chart.scene());
 }
 
 #[test]

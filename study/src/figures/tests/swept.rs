@@ -5,7 +5,7 @@ use reveille_common::declare::NoFiles;
 use super::super::results::{Results, fixtures};
 use super::super::sweep::SweptNumbers;
 use super::super::{energy, pareto};
-use super::{check, figure_named};
+use super::{check_properties, figure_named};
 use reveille_lab::table::{Hash, SweptValue};
 
 fn text(value: &str) -> SweptValue {
@@ -43,7 +43,7 @@ fn rankings_are_series_of_one_figure() {
     assert_eq!(results.by_ranking.len(), 2);
     assert_eq!(condition.ranking_indices, [1, 0], "the paper's ranking first");
     let drawn = figure.draw(condition).expect("a figure");
-    check("rankings", &drawn.chart.scene());
+    check_properties("rankings", &drawn.chart.scene());
     let names: Vec<&str> = drawn.chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(names, ["knn", "knn+posterior", "random"]);
     let [p42, posterior] = [&drawn.chart.series[0], &drawn.chart.series[1]];
@@ -118,7 +118,7 @@ fn changed_settings_have_no_titles_or_marks_of_the_paper() {
         }
         assert_eq!(charts.iter().any(|chart| !chart.marks.is_empty()), is_paper);
         assert_eq!(charts.iter().any(|chart| !chart.spans.is_empty()), is_paper);
-        check("not-the-paper", &charts[0].scene());
+        check_properties("not-the-paper", &charts[0].scene());
     }
 }
 

@@ -5,7 +5,7 @@ use reveille_lab::table::{Hash, SweptValue};
 
 use super::super::results::RunCondition;
 use super::super::{front, pareto};
-use super::{Results, check, fixtures};
+use super::{Results, check_properties, fixtures};
 
 #[test]
 fn delay_has_a_separate_figure_without_marks() {
@@ -17,7 +17,7 @@ fn delay_has_a_separate_figure_without_marks() {
     let results = Results::new(&[fixtures::table("paper", "detection_delay_ttis", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let chart = pareto::DELAY_TRADE_OFF.chart(&[condition]).expect("a picture");
-    check("delay", &chart.scene());
+    check_properties("delay", &chart.scene());
     let knn: Vec<f64> = chart.series[0].points.iter().map(|sample| sample.y).collect();
     assert!(
         (knn[0] - 2.25).abs() < 1e-12 && (knn[1] - 0.15).abs() < 1e-12,
@@ -69,7 +69,7 @@ fn the_energy_floor_has_the_information_of_the_genie() {
     let hundreds = notes.iter().filter(|text| **text == "100").count();
     assert_eq!(hundreds, 2, "one note at the genie and one at the floor: {notes:?}");
     assert!(chart.caption.contains("Energy floor"), "{}", chart.caption);
-    check("pareto-floor", &chart.scene());
+    check_properties("pareto-floor", &chart.scene());
 }
 
 #[test]
@@ -113,5 +113,5 @@ fn the_values_of_a_field_form_a_line_for_each_n() {
     let notes: Vec<&str> = front.chart.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["[8, 16]", "[2, 4]"]);
     assert_eq!(front.csv.lines().count(), 4);
-    check("front", &front.chart.scene());
+    check_properties("front", &front.chart.scene());
 }

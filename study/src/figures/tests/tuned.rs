@@ -1,7 +1,7 @@
 //! Tests of the figure of a tuning: legibility with crowded points and with a flat objective.
 
 use super::super::tuning;
-use super::{check, texts};
+use super::{check_properties, texts};
 use reveille_lab::tuning::{Evaluation, History, Ranges, Surface, TuningPoint, WeightPair};
 
 /// Returns a history with the values of `objective` at `pairs`.
@@ -21,9 +21,9 @@ fn history(pairs: &[WeightPair], objective: impl Fn(WeightPair) -> f64) -> Histo
     for &weights in pairs {
         let evaluation = Evaluation {
             objective: objective(weights),
-            objective_half: 0.01,
+            objective_half_width: 0.01,
             information: 0.4,
-            information_half: 0.01,
+            information_half_width: 0.01,
             misdetection_pct: 0.1,
             energy: 0.2,
             wake_ups: 1.0,
@@ -59,7 +59,7 @@ fn a_tuning_with_crowded_pairs_is_legible() {
     let crowd = (0..14).map(|i| [6.0 + 0.03 * f64::from(i), 2.0 + 0.004 * f64::from(i % 3)]);
     let pairs: Vec<WeightPair> = spread.into_iter().chain(crowd).collect();
     let scene = tuning::scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
-    check("tuning", &scene);
+    check_properties("tuning", &scene);
     let texts = texts(&scene);
     for number in 1..=pairs.len() {
         assert!(
@@ -81,5 +81,5 @@ fn a_flat_tuning_can_be_drawn() {
         &ranges,
         &surface(&ranges, flat),
     );
-    check("flat", &scene);
+    check_properties("flat", &scene);
 }

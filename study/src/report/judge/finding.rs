@@ -62,8 +62,8 @@ impl TopicRuns<'_> {
             n,
             other_policy: None,
             value: own.estimate.mean,
-            low: own.ends().0,
-            high: own.ends().1,
+            low: own.limits().0,
+            high: own.limits().1,
             zero_limit: self.zero_limit(claim.policy, n),
             metric_estimate: None,
         };
@@ -153,7 +153,7 @@ fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) ->
     if let Some(half_width) = paired_half_width(own, theirs, pairs, value).filter(|_| b > 0.0) {
         return [value, (value - half_width / b).max(0.0), value + half_width / b];
     }
-    let ((low, high), (least, most)) = (own.ends(), theirs.ends());
+    let ((low, high), (least, most)) = (own.limits(), theirs.limits());
     let low = if most > 0.0 { low / most } else { 0.0 };
     let high = if least > 0.0 { high / least } else { f64::INFINITY };
     [value, low, high]
