@@ -249,7 +249,7 @@ fn a_search_judges_every_setting_reproducibly() {
     for part in [
         "| paper |",
         "| paper-literal |",
-        "## Claims that no setting meets",
+        "## Claims that no condition meets",
         "## Claim by claim",
     ] {
         assert!(pages[0].contains(part), "{part}");
