@@ -1,6 +1,6 @@
-//! Former names of commands, options and values of version 0.1, which are still accepted with a warning, so that scripts
-//! continue to work. A command, option or value that is renamed needs an entry here. Renamed metrics have theirs in
-//! `FORMER_NAMES` (`common/src/score/metrics.rs`).
+//! Former names of commands, options and values of version 0.1, which are still accepted with a warning, so that
+//! scripts continue to work. A command, option or value that is renamed needs an entry here. Renamed metrics have
+//! theirs in `FORMER_NAMES` (`common/src/score/metrics.rs`).
 
 use std::ffi::OsString;
 

@@ -210,7 +210,10 @@ fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
         || "No device was the first to report an event in the attended TTIs.".to_owned(),
         |least| {
             let ttis = if *least == 1 { "TTI" } else { "TTIs" };
-            format!("Stars are devices that were the first to report an event in those TTIs, the latest {least} {ttis} before.")
+            format!(
+                "Stars are devices that were the first to report an event in those TTIs, the latest {least} {ttis} \
+                 before."
+            )
         },
     );
     let quantity = match attention.shape.objective {

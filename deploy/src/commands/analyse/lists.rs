@@ -31,7 +31,8 @@ pub(super) fn parse_numbers(flag: &str, text: &str, example: &str) -> anyhow::Re
     let read = |word: &str| match word.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         Ok(_) | Err(_) => bail!(
-            "{flag} {text}: `{word}` is not a finite number; give numbers separated by commas, for example {flag} {example}"
+            "{flag} {text}: `{word}` is not a finite number; give numbers separated by commas, for example {flag} \
+             {example}"
         ),
     };
     split_list(flag, text, example)?.into_iter().map(read).collect()
