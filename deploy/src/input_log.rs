@@ -151,7 +151,7 @@ pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalI
 }
 
 /// Reads a part of the log at `path` for an observer, from byte `from` on. The part can end within a line, but holds
-/// at least one whole line if there is one. It is empty without a log.
+/// at least one whole line if the log has one. It is empty without a log.
 ///
 /// # Errors
 /// If the log cannot be read.

@@ -22,7 +22,7 @@ pub(crate) const RESUME_MARK_FILE: &str = "resume.json";
 /// Time between two marks.
 const MARK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Reads the mark in a run folder; `None` if there is none that can be read, as the run was killed before its first
+/// Reads the mark in a run folder; `None` without a readable mark, as the run was killed before its first
 /// mark, or if the mark is torn. The run then resumes from TTI 0.
 ///
 /// # Errors

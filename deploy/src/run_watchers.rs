@@ -51,7 +51,7 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
 
 impl RunWatchers {
     /// Starts the watchers of the run called `run`, of `scenario`. `process_stats` returns the statistics of its
-    /// processes, except those of the recorder. Call it within a runtime.
+    /// processes, except the recorder's. Call it within a runtime.
     ///
     /// # Errors
     /// If the recording cannot be written, or the metrics address is not available.

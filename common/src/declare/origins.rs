@@ -1,5 +1,5 @@
 //! The origins of values: preset, file or command line. They affect errors and warnings, and the folder to
-//! which a relative path refers: that of the file, or the working directory for the command line.
+//! which a relative path refers: the folder of the file, or the working directory for the command line.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -150,7 +150,7 @@ fn json_value(value: &FieldValue<'_>) -> Json {
     }
 }
 
-/// Returns the condition that a table has a value at `path`, which fits `value_schema` if there is one.
+/// Returns the condition that a table has a value at `path`, which fits the optional `value_schema`.
 fn value_condition(path: &str, value_schema: Option<Json>) -> Json {
     match path.split_once('.') {
         Some((first, rest)) => {

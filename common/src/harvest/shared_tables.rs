@@ -48,7 +48,7 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds a table of the gaps between arrivals of probability `p`, if there is none.
+    /// Adds the missing table of the gaps between arrivals of probability `p`.
     pub(super) fn add_gaps(&mut self, p: f64) {
         // Shared by all devices with this probability, since a table costs 4096 logarithms.
         if self.find_gap_table(p).is_none() {

@@ -112,7 +112,7 @@ impl Change {
         }
     }
 
-    /// Returns the change with [`DeviceRange::ALL`] replaced by the first `devices`, those of a run.
+    /// Returns the change with [`DeviceRange::ALL`] replaced by the `devices` of a run.
     #[must_use]
     pub fn within(self, devices: u32) -> Self {
         if self.devices() == Some(DeviceRange::ALL) {

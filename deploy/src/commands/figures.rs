@@ -55,7 +55,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let chosen = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
     let swept = SweptNumbers::of_results(&results);
-    // The paper has no figures of a swept field, so its runs are drawn against this field; also those of the preset's
+    // The paper has no figures of a swept field, so its runs are drawn against this field. So are runs of the preset's
     // own value, unless they have several N to draw them against.
     let is_swept = |condition: &RunCondition| {
         let has_several_n = || condition.all_device_counts().len() > 1;

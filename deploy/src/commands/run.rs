@@ -138,7 +138,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     print_results(&args.output, &summary, &path)
 }
 
-/// Returns the external inputs that the command line names: those of `--input-log`, or the `recorded_inputs` of
+/// Returns the external inputs that the command line names: the inputs of `--input-log`, or the `recorded_inputs` of
 /// `--policy replay=FILE` and a script of actions. Returns `None` if it names none.
 fn read_named_inputs(
     args: &RunArgs,

@@ -86,7 +86,7 @@ impl Ranges {
         })
     }
 
-    /// Returns the distance to the closest of `known_pairs`, as a share of the ranges; infinite if there are none.
+    /// Returns the distance to the closest of `known_pairs`, as a share of the ranges; infinite without pairs.
     fn distance_to_closest(&self, pair: WeightPair, known_pairs: &[WeightPair]) -> f64 {
         let [x, y] = self.position(pair);
         let distance = |other: &WeightPair| {

@@ -148,7 +148,7 @@ impl AttentionFigure {
     }
 }
 
-/// Returns the number of TTIs from the last first report of device `j` to the end of `window`, if there is one.
+/// Returns the number of TTIs from the last first report of device `j` to the end of `window`; `None` without one.
 fn ttis_since_first_report(window: &[TrajectoryStep], j: usize) -> Option<usize> {
     let before = window.iter().rev().skip(1);
     (1..)

@@ -97,7 +97,7 @@ const REPORT_HALF_TTIS: f64 = 64.0;
 /// Time after which the features of sensing, and of the last report of any device, are 1/2, TTIs.
 const HALF_TTIS: f64 = 8.0;
 
-/// Returns the feature of a time, 1/2 after `half_ttis`; 1 if there is none.
+/// Returns the feature of a time: 1/2 after `half_ttis`, and 1 for `None`.
 fn bounded_time(ttis: Option<u64>, half_ttis: f64) -> f64 {
     ttis.map_or(1.0, |t| t as f64 / (t as f64 + half_ttis))
 }

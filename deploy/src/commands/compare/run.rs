@@ -110,7 +110,7 @@ impl ComparedRun {
         &self.summary
     }
 
-    /// The actions of operators and scripts, those of one TTI in the order in which they take effect.
+    /// The actions of operators and scripts, in the order in which they take effect.
     pub(super) fn actions(&self) -> &[OperatorAction] {
         &self.actions
     }

@@ -129,7 +129,7 @@ impl SweepSummary<'_> {
         format!("{title}\n{tables}")
     }
 
-    /// Formats the number of runs and the speed of those of this call.
+    /// Formats the number of runs, and the speed of the runs of this call.
     fn format_speed(&self) -> String {
         let rows = self.finished.table.rows.len();
         let line = match (self.found, self.device_ttis) {

@@ -60,7 +60,7 @@ impl Parts {
 }
 
 impl AnswerRound {
-    /// Creates the answer to a request with `device_parts` parts of devices. The host adds one part of its own once it
+    /// Creates the answer to a request with `device_parts` parts of devices. The host adds one further part once it
     /// has distributed the request.
     pub fn new(host: HostId, request: HostRequest, device_parts: usize) -> Self {
         Self {
