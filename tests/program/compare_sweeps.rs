@@ -1,4 +1,4 @@
-//! `compare` on sweeps: paired differences between policies, computed again from the CSV table.
+//! `compare` on sweeps: paired differences between policies and between sweeps, computed again from the CSV table.
 
 use std::collections::BTreeMap;
 
@@ -89,6 +89,77 @@ fn two_sweeps_are_compared_over_their_common_seeds() {
     let end = folder.run("sweep --policies random --seeds 4 --devices 20 --ttis 700 --quiet --out c");
     assert!(end.is_success(), "{end}");
     assert_refused(&folder.run("compare a c"), 1, &["no other policy has runs", "knn"]);
+}
+
+#[test]
+fn sweeps_are_compared_by_policy_and_n() {
+    let folder = TestFolder::new();
+    folder.write("script", "from 0 every 100 fail 0-9 for 60 at random\n");
+    for (args, out) in [
+        ("", "calm"),
+        ("--actions script", "acted"),
+        (
+            "--actions script --set events.alpha=0.3 --set radio.uplink_loss=0.2",
+            "both",
+        ),
+    ] {
+        let sweep = SWEEP.replace("random,knn,age-index", "knn");
+        let end = folder.run(&format!("{sweep} {args} --out {out}"));
+        assert!(end.is_success(), "{end}");
+    }
+    let end = folder.run("compare calm acted both --all-metrics --json");
+    assert!(end.is_success(), "{end}");
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let changed = serde_json::json!({"events.alpha": ["0.2", "0.3"], "radio.uplink_loss": ["0.0", "0.2"]});
+    for (table, name, fields) in [(0, "acted", serde_json::json!({})), (1, "both", changed)] {
+        let found = &report["tables"][table];
+        assert_eq!(found["table"], format!("{name}/results.csv"));
+        assert_eq!(found["against_table"], "calm/results.csv");
+        assert_eq!((&found["actions_differ"], &found["fields"]), (&true.into(), &fields));
+        let tables = ["calm", name].map(|out| {
+            let table = folder.bytes(&format!("{out}/results.csv"));
+            String::from_utf8(table).expect("text")
+        });
+        for metric_name in ["info_p1", "energy_per_device_tti"] {
+            let [calm, changed] = tables.each_ref().map(|table| metric(table, metric_name));
+            for n in [20, 40] {
+                let rows = found["differences"].as_array().expect("rows");
+                let is_row = |row: &&Value| row["metric"] == metric_name && row["n"] == n;
+                let row = rows.iter().find(is_row).expect("a row");
+                let differences: Vec<f64> = (1..=7)
+                    .map(|seed| ("knn".to_owned(), n, seed))
+                    .map(|run| changed[&run] - calm[&run])
+                    .collect();
+                let mean = differences.iter().sum::<f64>() / 7.0;
+                let variance = differences.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 6.0;
+                for (key, expected) in [("difference", mean), ("half_width", T_6 * (variance / 7.0).sqrt())] {
+                    let found = row[key].as_f64().expect("a number");
+                    assert!(
+                        (found - expected).abs() < 1e-5 * expected.abs(),
+                        "{key} of {row}: {expected}"
+                    );
+                }
+            }
+        }
+    }
+    let end = folder.run("compare calm both");
+    for part in [
+        "differences of both/results.csv from calm/results.csv over the same seeds, with",
+        "they differ in: actions, events.alpha = 0.2 | 0.3, radio.uplink_loss = 0.0 | 0.2",
+        "with the actions of\nboth/results.csv",
+        "\nknn       40     7",
+    ] {
+        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+    }
+    assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
+    // Under the same script, only the fields differ.
+    let end = folder.run("compare acted both");
+    assert!(end.stdout.contains("they differ in: events.alpha"), "{end}");
+    assert_refused(
+        &folder.run("compare calm calm"),
+        1,
+        &["but other settings in another table"],
+    );
 }
 
 #[test]

@@ -12,7 +12,7 @@ pub(crate) struct CompareArgs {
     /// Run folders or recordings, at least two: differences refer to the first. Or sweep folders and result tables.
     #[arg(required = true, num_args = 1.., value_name = "RUN|SWEEP")]
     pub runs: Vec<PathBuf>,
-    /// Reference policy of sweeps; the other policies are compared with it [default: the first of the table].
+    /// Reference policy within sweeps; the other policies are compared with it [default: the first of the table].
     #[arg(long, value_name = "POLICY", help_heading = "Sweeps")]
     pub against: Option<String>,
     /// Metrics of sweeps, separated by commas [default: info_p1, misdetection_pct, detection_delay_ttis and

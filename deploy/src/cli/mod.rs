@@ -161,14 +161,15 @@ pub(crate) enum Command {
         "reveille inspect stats run.mcap",
     ))]
     Inspect(InspectCommand),
-    /// Compare runs, or the policies of a sweep
+    /// Compare runs, the policies of a sweep, or sweeps
     ///
     /// RUN is a run folder, or a recording. Metrics appear side by side, with their differences from the first run. Run
     /// folders also provide 95 % intervals. The first difference is searched in the messages of two recordings: events,
     /// δ plans, reports, failures, wake-ups and their outcomes; of run folders in their events.
     ///
     /// SWEEP is the folder of a sweep, or its result table. Each policy is compared with a reference policy over the
-    /// same seeds: the mean difference of each metric with its 95 % interval, for each N.
+    /// same seeds: the mean difference of each metric with its 95 % interval, for each N. Of several sweeps with
+    /// different fields or actions, each policy is also compared with itself in the first sweep.
     #[command(after_help = examples!(
         "reveille compare runs/knn-n50-s1 runs/age-index-n50-s1",
         "reveille compare study --against knn --metric misdetection_pct",

@@ -17,12 +17,16 @@ use crate::paths::{check_output_folder, resolve_table};
 
 /// Reads the tables and combines them.
 pub(super) fn read_tables(paths: &[PathBuf]) -> anyhow::Result<Results> {
+    Ok(Results::new(&read_named_tables(paths)?, &Disk)?)
+}
+
+/// Reads the tables. Each has its path as its name.
+pub(super) fn read_named_tables(paths: &[PathBuf]) -> anyhow::Result<Vec<(String, Table)>> {
     let read = |path: &PathBuf| -> anyhow::Result<(String, Table)> {
         let path = resolve_table(path)?;
         Ok((path.display().to_string(), Table::read(&path)?))
     };
-    let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    Ok(Results::new(&tables, &Disk)?)
+    paths.iter().map(read).collect()
 }
 
 /// Writes a picture in all requested formats, and prints the paths.

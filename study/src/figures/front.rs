@@ -82,11 +82,7 @@ pub fn draw_fronts(conditions: &[&RunCondition]) -> Vec<ParetoFront> {
 fn changes_without_knobs(condition: &RunCondition) -> FieldValues {
     let is_knob = |path: &str| path.starts_with("policy.") || path == RANKING;
     let rest = condition.all_changes().filter(|(path, _)| !is_knob(path)).cloned();
-    let table = condition
-        .changed_in_table
-        .clone()
-        .map(|table| ("scenario changes".to_owned(), table));
-    rest.chain(table).collect()
+    rest.chain(condition.table_changes()).collect()
 }
 
 fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition]) -> Option<ParetoFront> {

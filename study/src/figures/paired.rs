@@ -1,6 +1,6 @@
-//! Differences of a metric between two policies. Runs with the same seeds have the same deployments, epicentres and
-//! harvests, so the spread is taken over differences of pairs. `report` judges gaps and ratios by it, and `reveille
-//! compare` shows the differences of a sweep.
+//! Differences of a metric between two policies or conditions. Runs with the same seeds have the same deployments,
+//! epicentres and harvests, so the spread is taken over differences of pairs. `report` judges gaps and ratios by it, and
+//! `reveille compare` shows the differences of sweeps.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,10 @@ use reveille_lab::table::ResultRow;
 
 use super::results::RunCondition;
 
-/// The difference of a metric between two policies over their common seeds.
+/// A condition and the name of a policy under it.
+pub type Series<'r> = (&'r RunCondition, &'r str);
+
+/// The difference of a metric between two policies, or between two conditions of a policy, over their common seeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedDifference {
     /// Number of seeds with a value under both policies, ≥ 1.
@@ -29,14 +32,14 @@ pub struct PairedDifference {
 }
 
 impl PairedDifference {
-    /// Compares `policy` with `reference`, both with `n` devices, by `metric`. Returns `None` without a common seed
-    /// under which both have a value.
-    pub fn new(condition: &RunCondition, (policy, reference): (&str, &str), n: u32, metric: &str) -> Option<Self> {
-        let by_seed = |policy: &str| -> BTreeMap<u64, &ResultRow> {
+    /// Compares the runs of a policy under a condition with those of `reference`, both with `n` devices, by `metric`.
+    /// Returns `None` without a common seed under which both have a value.
+    pub fn new(own: Series<'_>, reference: Series<'_>, n: u32, metric: &str) -> Option<Self> {
+        fn by_seed<'r>((condition, policy): Series<'r>, n: u32, metric: &str) -> BTreeMap<u64, &'r ResultRow> {
             let defined = condition.runs(policy, n).filter(|row| row.metric(metric).is_some());
             defined.map(|row| (row.seed, row)).collect()
-        };
-        let (own, theirs) = (by_seed(policy), by_seed(reference));
+        }
+        let (own, theirs) = (by_seed(own, n, metric), by_seed(reference, n, metric));
         let common = own.iter().filter_map(|(seed, row)| Some((*row, *theirs.get(seed)?)));
         let (own, theirs): (Vec<&ResultRow>, Vec<&ResultRow>) = common.unzip();
         let values = own.iter().zip(&theirs);

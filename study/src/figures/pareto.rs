@@ -137,10 +137,7 @@ fn line_name(policy: &str, condition: &RunCondition) -> String {
             .unwrap_or(value);
         let _ = write!(name, ", {field} {value}");
     }
-    if let Some(table) = &condition.changed_in_table {
-        let _ = write!(name, ", changed as in {table}");
-    }
-    name
+    name + &condition.table_changes_text()
 }
 
 impl TradeOff {

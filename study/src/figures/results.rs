@@ -48,7 +48,9 @@ pub struct RunCondition {
     pub changed_fields: Vec<(String, String)>,
     /// Name of the table, if its scenarios differ from their preset in unknown fields.
     pub changed_in_table: Option<String>,
-    /// Scenario of the first run; `None` if it cannot be reconstructed.
+    /// Script of actions of every run; `None` for runs without actions.
+    pub actions: Option<ActionScript>,
+    /// Scenario of the first run; `None` if it cannot be reconstructed, or if actions change its runs.
     pub scenario: Option<Scenario>,
     /// Whether all runs use the preset unchanged: no field is swept or set to another value.
     is_preset: bool,
@@ -56,6 +58,15 @@ pub struct RunCondition {
     pub ranking_indices: Vec<usize>,
     /// Runs by series and N, each in seed order.
     runs: RunsBySeries,
+}
+
+/// The script of actions of a table's runs.
+#[derive(Clone, Debug)]
+pub struct ActionScript {
+    /// Text of the script.
+    pub text: String,
+    /// Name of the first table with this script.
+    pub table: String,
 }
 
 /// Runs by series and N, each in seed order.
@@ -121,11 +132,12 @@ impl Results {
         // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
         let cells_of_known_policies = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
         // Scenarios do not contain actions, which make runs of the same scenario differ.
-        let has_actions = table.metadata.action_script().is_some();
-        let has_only_swept_fields =
-            !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
-        let has_known_changes =
-            !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
+        let actions = table.metadata.action_script().map(|text| ActionScript {
+            text,
+            table: name.to_owned(),
+        });
+        let has_only_swept_fields = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
+        let has_known_changes = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
         let changes = if has_known_changes && !has_only_swept_fields {
             set_fields
         } else {
@@ -134,14 +146,15 @@ impl Results {
         let changed_in = (!has_known_changes && !has_only_swept_fields).then(|| name.to_owned());
         for cell in cells {
             let is_known_policy = registry::named(cell.policy).is_some();
-            let is_unchanged =
-                !has_actions && (!is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some());
+            let is_unchanged = actions.is_none()
+                && (!is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some());
             let new_condition = RunCondition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
                 changed_fields: changes.clone(),
                 changed_in_table: changed_in.clone(),
-                scenario: scenario_with(&cell, &changes).filter(|_| changed_in.is_none()),
+                actions: actions.clone(),
+                scenario: scenario_with(&cell, &changes).filter(|_| changed_in.is_none() && actions.is_none()),
                 swept_fields: swept_of(&cell),
                 is_preset: true,
                 ranking_indices: Vec::new(),
@@ -272,6 +285,7 @@ impl RunCondition {
             && self.swept_fields == other.swept_fields
             && self.changed_fields == other.changed_fields
             && self.changed_in_table == other.changed_in_table
+            && self.action_text() == other.action_text()
     }
 
     /// Copy of the condition without ranking fields and runs.
@@ -286,6 +300,7 @@ impl RunCondition {
             runs: RunsBySeries::new(),
             preset: self.preset.clone(),
             changed_in_table: self.changed_in_table.clone(),
+            actions: self.actions.clone(),
             scenario: None,
             ranking_indices: Vec::new(),
             ..*self
@@ -378,10 +393,37 @@ impl RunCondition {
         for (path, value) in self.all_changes() {
             label = format!("{label}, {path} = {value}");
         }
-        match &self.changed_in_table {
-            None => label,
-            Some(table) => format!("{label}, changed as in {table}"),
-        }
+        label + &self.table_changes_text()
+    }
+
+    /// Text of the script of actions; `None` for runs without actions.
+    pub fn action_text(&self) -> Option<&str> {
+        self.actions.as_ref().map(|actions| actions.text.as_str())
+    }
+
+    /// Changes that only a table identifies: unknown fields and actions, each with the name of the table.
+    pub fn table_changes(&self) -> impl Iterator<Item = (String, String)> {
+        let unknown = self.changed_in_table.as_ref().map(|table| ("scenario changes", table));
+        let actions = self.actions.as_ref().map(|actions| ("actions", &actions.table));
+        let changes = unknown.into_iter().chain(actions);
+        changes.map(|(kind, table)| (kind.to_owned(), table.clone()))
+    }
+
+    /// Describes [`Self::table_changes`], each after a comma; empty without such changes.
+    pub(crate) fn table_changes_text(&self) -> String {
+        let unknown = self.changed_in_table.as_ref();
+        let unknown = unknown.map(|table| format!(", changed as in {table}"));
+        let actions = self.actions.as_ref();
+        let actions = actions.map(|actions| format!(", with the actions of {}", actions.table));
+        unknown.into_iter().chain(actions).collect()
+    }
+
+    /// Returns the scenario of the first run of `policy` with `n` devices as TOML, without actions. `None` if it cannot
+    /// be reconstructed. `files` opens the files that it names.
+    pub fn scenario_toml(&self, policy: &str, n: u32, files: &dyn Files) -> Option<String> {
+        let changes: Vec<(String, String)> = self.all_changes().cloned().collect();
+        let scenario = reconstruct_scenario(self.runs(policy, n).next()?, &[], &changes, files)?;
+        Some(scenario.to_toml())
     }
 
     /// Whether the runs use the preset unchanged: nothing is swept or set to another value.
@@ -392,7 +434,7 @@ impl RunCondition {
     /// Whether the runs use a preset in which nothing but the ranking of wake-ups may be changed.
     pub(crate) fn is_preset_of_any_ranking(&self) -> bool {
         let is_ranking = |(path, _): &(String, String)| path == RANKING;
-        self.is_preset || (self.changed_in_table.is_none() && self.all_changes().all(is_ranking))
+        self.is_preset || (self.table_changes().next().is_none() && self.all_changes().all(is_ranking))
     }
 
     /// Total number of runs.
@@ -407,8 +449,8 @@ impl RunCondition {
         for (path, value) in self.all_changes() {
             label = format!("{label}-{path}-{value}");
         }
-        if let Some(table) = &self.changed_in_table {
-            let table = std::path::Path::new(table);
+        if let Some((_, table)) = self.table_changes().next() {
+            let table = std::path::Path::new(&table);
             let folder = table
                 .parent()
                 .and_then(std::path::Path::file_name)

@@ -1,10 +1,11 @@
 //! `reveille compare`: runs side by side, with their actions, scenario fields, metrics, digests and first difference;
-//! of sweeps, the differences between policies. Programs of users read the keys of `--json`, so do not rename them. The
-//! text fits 80 columns.
+//! of sweeps, the differences between policies and tables. Programs of users read the keys of `--json`, so do not
+//! rename them. The text fits 80 columns.
 
 mod messages;
 mod run;
 mod sweep;
+mod tables;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

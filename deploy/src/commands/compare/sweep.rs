@@ -1,4 +1,5 @@
-//! Differences between the policies of sweeps, over the same seeds. `study/src/figures/paired.rs` computes them.
+//! Differences between the policies of sweeps, over the same seeds, and between sweeps (see `tables`).
+//! `study/src/figures/paired.rs` computes them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -6,20 +7,21 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use reveille_common::digits::decimals_for;
+use reveille_common::io::Disk;
 use reveille_common::score::Metrics;
 use reveille_study::figures::paired::PairedDifference;
 use reveille_study::figures::results::{Results, RunCondition};
 use serde_json::{Value, json};
 
+use super::WIDTH;
+use super::tables::{self, TableDifference};
 use crate::cli::CompareArgs;
-use crate::commands::figure_files::read_tables;
+use crate::commands::figure_files::read_named_tables;
 use crate::display::{print_stdout, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::format_number;
 use crate::run_folder::SCENARIO_FILE;
 
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 /// Metrics that are compared by default.
 const METRICS: [&str; 4] = [
     "info_p1",
@@ -28,12 +30,12 @@ const METRICS: [&str; 4] = [
     "energy_per_device_tti",
 ];
 
-/// The difference of a policy from the reference policy.
-struct Row<'r> {
-    metric: &'r str,
-    policy: &'r str,
-    n: u32,
-    found: PairedDifference,
+/// The difference of a policy from the reference policy or the reference table.
+pub(super) struct Row<'r> {
+    pub metric: &'r str,
+    pub policy: &'r str,
+    pub n: u32,
+    pub found: PairedDifference,
 }
 
 /// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording.
@@ -53,7 +55,8 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
             "--exit-code needs runs, whose digests it compares; leave it out for sweeps".to_owned()
         ));
     }
-    let results = read_tables(&args.runs)?;
+    let tables = read_named_tables(&args.runs)?;
+    let results = Results::new(&tables, &Disk)?;
     let reference = reference_policy(args, &results)?;
     let metrics: Vec<&str> = match (args.metric.as_slice(), args.all_metrics) {
         ([], true) => Metrics::ALL.iter().map(|metric| metric.name).collect(),
@@ -65,17 +68,27 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         let rows = metrics.iter().flat_map(|metric| rows(condition, reference, metric));
         conditions.push((condition, rows.collect::<Vec<_>>()));
     }
-    if conditions.iter().all(|(_, rows)| rows.is_empty()) {
+    conditions.retain(|(_, rows)| args.json || !rows.is_empty());
+    let separate = tables::read_separately(&tables)?;
+    let table_differences = tables::compare(&separate, &metrics);
+    if conditions.iter().all(|(_, rows)| rows.is_empty()) && table_differences.is_empty() {
+        let other_tables = if tables.len() > 1 {
+            ", and no policy has runs with the same N and seeds but other settings in another table"
+        } else {
+            ""
+        };
         bail!(
-            "{}: no other policy has runs with the N and seeds of {reference}; add policies to the sweep, with \
-             `reveille sweep --policies`",
+            "{}: no other policy has runs with the N and seeds of {reference}{other_tables}; add policies to the \
+             sweep, with `reveille sweep --policies`, or name two sweeps with different settings",
             results.tables[0].name
         );
     }
     print_stdout(&if args.json {
-        json_report(reference, &conditions).to_string() + "\n"
+        let mut report = json_report(reference, &conditions);
+        report["tables"] = tables::json_report(&table_differences);
+        report.to_string() + "\n"
     } else {
-        text_report(reference, &conditions)
+        text_report(reference, &conditions, &table_differences)
     })?;
     Ok(ExitReason::Done.into())
 }
@@ -101,7 +114,7 @@ fn reference_policy<'r>(args: &'r CompareArgs, results: &'r Results) -> anyhow::
 fn rows<'r>(condition: &'r RunCondition, reference: &'r str, metric: &'r str) -> Vec<Row<'r>> {
     let others = condition.policies().into_iter().filter(|policy| *policy != reference);
     let row = |policy, n| {
-        let found = PairedDifference::new(condition, (policy, reference), n, metric)?;
+        let found = PairedDifference::new((condition, policy), (condition, reference), n, metric)?;
         Some(Row {
             metric,
             policy,
@@ -119,38 +132,53 @@ fn rows<'r>(condition: &'r RunCondition, reference: &'r str, metric: &'r str) ->
         .collect()
 }
 
-fn json_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) -> Value {
-    let row = |row: &Row<'_>| {
-        let found = row.found;
+impl Row<'_> {
+    pub(super) fn to_json(&self) -> Value {
+        let found = self.found;
         json!({
-            "metric": row.metric, "policy": row.policy, "n": row.n, "seeds": found.seeds, "mean": found.mean,
+            "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": found.seeds, "mean": found.mean,
             "against_mean": found.reference_mean, "difference": found.difference, "half_width": found.half_width,
             "paired": found.is_paired,
         })
-    };
+    }
+}
+
+fn json_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) -> Value {
     let condition = |(condition, rows): &(&RunCondition, Vec<Row<'_>>)| {
         json!({
             "condition": condition.label(), "ttis": condition.ttis,
-            "differences": rows.iter().map(row).collect::<Vec<_>>(),
+            "differences": rows.iter().map(Row::to_json).collect::<Vec<_>>(),
         })
     };
     json!({ "against": reference, "conditions": conditions.iter().map(condition).collect::<Vec<_>>() })
 }
 
-fn text_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) -> String {
-    let line = format!("differences from {reference} over the same seeds, with 95 % intervals");
-    let mut text = wrap_text(&line, WIDTH) + "\n";
-    for (condition, rows) in conditions.iter().filter(|(_, rows)| !rows.is_empty()) {
+fn text_report(
+    reference: &str,
+    conditions: &[(&RunCondition, Vec<Row<'_>>)],
+    table_differences: &[TableDifference<'_>],
+) -> String {
+    let mut text = String::new();
+    if !conditions.is_empty() {
+        let line = format!("differences from {reference} over the same seeds, with 95 % intervals");
+        text += &(wrap_text(&line, WIDTH) + "\n");
+    }
+    for (condition, rows) in conditions {
         let label = format!("preset {} · TTIs {}", condition.label(), condition.ttis);
         let _infallible = writeln!(text, "\n{}", wrap_text(&label, WIDTH));
-        for block in rows.chunk_by(|a, b| a.metric == b.metric) {
-            text += &format_block(reference, block);
+        text += &format_blocks(reference, rows);
+    }
+    for (number, difference) in table_differences.iter().enumerate() {
+        if number > 0 || !conditions.is_empty() {
+            text.push('\n');
         }
+        text += &tables::format_difference(difference);
     }
     text.push('\n');
     let is_unpaired = |row: &Row<'_>| !row.found.is_paired && !row.found.half_width.is_nan();
     let is_single = |row: &Row<'_>| row.found.half_width.is_nan();
-    let mut rows = conditions.iter().flat_map(|(_, rows)| rows);
+    let of_tables = table_differences.iter().flat_map(|difference| &difference.rows);
+    let mut rows = conditions.iter().flat_map(|(_, rows)| rows).chain(of_tables);
     text += "difference: mean over the seeds; interval: Student's t over the differences by\nseed\n";
     if rows.clone().any(is_unpaired) {
         text += "~: too few cases for an interval of differences; the intervals of both means\n   are added\n";
@@ -159,6 +187,12 @@ fn text_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) ->
         text += "–: one seed has no interval; run the sweep with more --seeds\n";
     }
     text
+}
+
+/// Formats differences by metric. `reference` names the column of the reference's means.
+pub(super) fn format_blocks(reference: &str, rows: &[Row<'_>]) -> String {
+    let blocks = rows.chunk_by(|a, b| a.metric == b.metric);
+    blocks.map(|block| format_block(reference, block)).collect()
 }
 
 /// Formats the differences by one metric.

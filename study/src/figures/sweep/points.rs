@@ -75,11 +75,9 @@ fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String
         ("ttis", condition.ttis.to_string()),
     ];
     let own = own.map(|(field, value)| (field.to_owned(), value)).into_iter();
-    let table = condition
-        .changed_in_table
-        .clone()
-        .map(|table| ("scenario changes".to_owned(), table));
-    own.chain(condition.all_changes().cloned()).chain(table).collect()
+    own.chain(condition.all_changes().cloned())
+        .chain(condition.table_changes())
+        .collect()
 }
 
 /// A scenario field that sweeps vary over several numbers.

@@ -507,11 +507,11 @@ fn runs_with_actions_are_another_condition() {
         means.collect::<Vec<_>>(),
         [(true, "0.15".to_owned()), (false, "0.40".to_owned())]
     );
-    assert!(
-        results.conditions[1]
-            .label()
-            .ends_with("changed as in acted-paper.parquet")
+    assert_eq!(
+        results.conditions[1].label(),
+        "paper, with the actions of acted-paper.parquet"
     );
+    assert_eq!(results.file_labels(), ["paper", "paper-acted-paper"]);
 }
 
 #[test]

@@ -1,0 +1,193 @@
+//! Differences between sweeps: each policy of a table is compared with itself in the first table, over the same seeds.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use reveille_common::io::Disk;
+use reveille_lab::table::Table;
+use reveille_study::figures::FigureError;
+use reveille_study::figures::paired::PairedDifference;
+use reveille_study::figures::results::{Results, RunCondition};
+use reveille_view::compare::compare_scenarios;
+use serde_json::{Value, json};
+
+use super::WIDTH;
+use super::sweep::{Row, format_blocks};
+use crate::display::wrap_text;
+
+/// The difference of a condition from its counterpart in the first table.
+pub(super) struct TableDifference<'r> {
+    table: &'r str,
+    reference_table: &'r str,
+    condition: &'r RunCondition,
+    reference: &'r RunCondition,
+    /// Differing fields with the values of the reference and of the condition; `None` if a table does not identify its
+    /// fields.
+    fields: Option<BTreeMap<String, [String; 2]>>,
+    /// Differences of the policies, by metric.
+    pub rows: Vec<Row<'r>>,
+}
+
+/// Returns the results of each table alone, whose conditions are not merged with those of other tables.
+pub(super) fn read_separately(tables: &[(String, Table)]) -> Result<Vec<Results>, FigureError> {
+    let with_runs = tables.iter().filter(|(_, table)| !table.rows.is_empty());
+    with_runs
+        .map(|table| Results::new(std::slice::from_ref(table), &Disk))
+        .collect()
+}
+
+/// Compares every table with the first one. Conditions with equal settings have equal runs, and are left out.
+pub(super) fn compare<'r>(tables: &'r [Results], metrics: &[&'r str]) -> Vec<TableDifference<'r>> {
+    let Some((first, others)) = tables.split_first() else {
+        return Vec::new();
+    };
+    let pairs = others.iter().flat_map(|table| {
+        let conditions = table.conditions.iter();
+        conditions.filter_map(move |condition| {
+            let reference = counterpart(condition, &table.conditions, &first.conditions)?;
+            Some((table, condition, reference))
+        })
+    });
+    pairs
+        .filter_map(|(table, condition, reference)| {
+            let rows: Vec<Row<'_>> = metrics
+                .iter()
+                .flat_map(|metric| compare_policies(condition, reference, metric))
+                .collect();
+            // A field of one policy does not occur in the scenarios of the others.
+            let fields: Option<Vec<_>> = rows
+                .iter()
+                .map(|row| (row.policy, row.n))
+                .collect::<BTreeSet<_>>()
+                .into_iter()
+                .map(|cell| differing_fields(condition, reference, cell))
+                .collect();
+            let fields: Option<BTreeMap<_, _>> = fields.map(|of_cells| of_cells.into_iter().flatten().collect());
+            let has_equal_settings = fields.as_ref().is_some_and(BTreeMap::is_empty);
+            let is_compared = !rows.is_empty() && (!has_equal_settings || has_other_actions(condition, reference));
+            is_compared.then(|| TableDifference {
+                table: &table.tables[0].name,
+                reference_table: &first.tables[0].name,
+                condition,
+                reference,
+                fields,
+                rows,
+            })
+        })
+        .collect()
+}
+
+/// Returns the condition of the first table that `condition` is compared with: the one with the same preset, length and
+/// swept fields, else the only one with the same swept fields, else the table's only condition.
+fn counterpart<'r>(
+    condition: &RunCondition,
+    own: &[RunCondition],
+    references: &'r [RunCondition],
+) -> Option<&'r RunCondition> {
+    let is_equal = |other: &RunCondition| {
+        (&other.preset, other.ttis, &other.swept_fields) == (&condition.preset, condition.ttis, &condition.swept_fields)
+    };
+    if let Some(equal) = references.iter().find(|other| is_equal(other)) {
+        return Some(equal);
+    }
+    let is_alike = |other: &&RunCondition| other.swept_fields == condition.swept_fields;
+    let mut alike = references.iter().filter(is_alike);
+    match (
+        alike.next(),
+        alike.next(),
+        own.iter().filter(is_alike).count(),
+        references,
+    ) {
+        (Some(reference), None, 1, _) | (_, _, _, [reference]) => Some(reference),
+        _ => None,
+    }
+}
+
+/// Compares the policies that both conditions have, by N.
+fn compare_policies<'r>(condition: &'r RunCondition, reference: &'r RunCondition, metric: &'r str) -> Vec<Row<'r>> {
+    let mut rows = Vec::new();
+    for policy in condition.policies() {
+        for n in condition.device_counts(policy) {
+            let found = PairedDifference::new((condition, policy), (reference, policy), n, metric);
+            rows.extend(found.map(|found| Row {
+                metric,
+                policy,
+                n,
+                found,
+            }));
+        }
+    }
+    rows
+}
+
+fn has_other_actions(condition: &RunCondition, reference: &RunCondition) -> bool {
+    condition.action_text() != reference.action_text()
+}
+
+/// Returns the fields that differ in the runs of a policy with `n` devices, with the values of `reference` and
+/// `condition`; `None` if they cannot be determined.
+fn differing_fields(
+    condition: &RunCondition,
+    reference: &RunCondition,
+    (policy, n): (&str, u32),
+) -> Option<BTreeMap<String, [String; 2]>> {
+    let hashes: BTreeMap<u64, _> = reference
+        .runs(policy, n)
+        .map(|row| (row.seed, &row.scenario_hash))
+        .collect();
+    let mut common = condition
+        .runs(policy, n)
+        .filter_map(|row| Some((&row.scenario_hash, *hashes.get(&row.seed)?)));
+    if common.all(|(own, theirs)| own == theirs) {
+        return Some(BTreeMap::new());
+    }
+    let toml = |condition: &RunCondition| condition.scenario_toml(policy, n, &Disk);
+    let differences = compare_scenarios(&toml(reference)?, &toml(condition)?).ok()?;
+    // The first runs of both conditions can have different seeds, which are not a setting.
+    let settings = differences.into_iter().filter(|(field, ..)| field != "seed");
+    Some(settings.map(|(field, theirs, own)| (field, [theirs, own])).collect())
+}
+
+/// Formats a difference: the tables, their differing settings and the metrics.
+pub(super) fn format_difference(difference: &TableDifference<'_>) -> String {
+    let TableDifference {
+        table,
+        reference_table,
+        condition,
+        ..
+    } = difference;
+    let heading = format!("differences of {table} from {reference_table} over the same seeds, with 95 % intervals");
+    let mut settings = Vec::new();
+    if has_other_actions(condition, difference.reference) {
+        settings.push("actions".to_owned());
+    }
+    match &difference.fields {
+        Some(fields) => settings.extend(
+            fields
+                .iter()
+                .map(|(field, [theirs, own])| format!("{field} = {theirs} | {own}")),
+        ),
+        None => settings.push("fields that the tables do not identify".to_owned()),
+    }
+    let label = format!("preset {} · TTIs {}", condition.label(), condition.ttis);
+    let lines = [
+        heading,
+        format!("they differ in: {}", settings.join(", ")),
+        String::new(),
+        label,
+    ];
+    let head: String = lines.iter().map(|line| wrap_text(line, WIDTH) + "\n").collect();
+    head + &format_blocks("reference", &difference.rows)
+}
+
+pub(super) fn json_report(differences: &[TableDifference<'_>]) -> Value {
+    let report = |difference: &TableDifference<'_>| {
+        json!({
+            "table": difference.table, "against_table": difference.reference_table,
+            "condition": difference.condition.label(), "against_condition": difference.reference.label(),
+            "ttis": difference.condition.ttis, "fields": difference.fields,
+            "actions_differ": has_other_actions(difference.condition, difference.reference),
+            "differences": difference.rows.iter().map(Row::to_json).collect::<Vec<_>>(),
+        })
+    };
+    differences.iter().map(report).collect()
+}
