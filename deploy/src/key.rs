@@ -49,24 +49,21 @@ pub(crate) fn read_or_create(path: &Path) -> anyhow::Result<Secret> {
     // and of several that start together one makes it.
     let draft = path.with_added_extension(format!("{}.draft", std::process::id()));
     let key = draw_secret()?;
-    let mut file = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .mode(0o600)
-        .open(&draft)
-        .with_context(option)?;
+    // A new file only: an existing one could belong to another user, who could read it.
+    let created = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&draft);
+    let mut file = match created {
+        Ok(file) => file,
+        Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+            "{}: its folder does not exist; create it, or name another file",
+            option()
+        ),
+        Err(error) => return Err(error).with_context(option),
+    };
     let linked = writeln!(file, "{key}").and_then(|()| fs::hard_link(&draft, path));
     fs::remove_file(&draft).with_context(option)?;
     match linked {
         Ok(()) => Ok(key),
         Err(error) if error.kind() == ErrorKind::AlreadyExists => read(path),
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            bail!(
-                "{}: its folder does not exist; create it, or name another file",
-                option()
-            )
-        }
         Err(error) => Err(error).with_context(option),
     }
 }

@@ -77,7 +77,7 @@ fn messages_in_the_base_stations_process_are_shown_once() {
 }
 
 #[test]
-fn a_paused_run_prints_its_position_and_owners() {
+fn an_observer_prints_the_position_of_a_paused_run_with_devices_and_hosts() {
     let (folder, run) = (TestFolder::new(), unique_run("greet"));
     let up = start_paused_run(
         &folder,

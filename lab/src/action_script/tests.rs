@@ -58,7 +58,7 @@ fn all_are_the_devices_of_the_run() {
             &test_scenario(),
         )
     };
-    assert_eq!(random("all"), random("0-49"));
+    assert_eq!(random("all").expect("a script"), random("0-49").expect("a script"));
 }
 
 #[test]

@@ -223,7 +223,7 @@ impl CellProgress {
         }
         self.added_runs = self.next_check;
         self.widest = widest_interval(&until.metrics, &self.moments);
-        // Without a defined metric, more runs would not help.
+        // Without a defined metric, the cell ends.
         let is_narrow = self.widest.as_ref().is_none_or(|(_, width)| *width <= until.target);
         let next = until.next_check(self.next_check, grid.experiment.seeds.count);
         self.is_done = is_narrow || next == self.next_check;
