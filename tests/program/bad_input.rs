@@ -539,19 +539,22 @@ fn a_run_folder_can_have_any_name() {
 
 #[test]
 fn an_unusable_key_file_is_refused() {
-    let folder = TestFolder::new();
-    let end = folder.run("up -n 5 -k 60 -P 1 --out out --key-file missing/key");
+    let (folder, run) = (TestFolder::new(), unique_run("key"));
+    let bs = format!("bs -n 5 -k 60 --run {run} --listen tcp/127.0.0.1:0 --key-file");
+    let end = folder.run(&format!("{bs} missing/key"));
     assert_refused(&end, 1, &["--key-file missing/key", "folder does not exist"]);
     folder.write("key", "0123");
     fs::set_permissions(folder.join("key"), fs::Permissions::from_mode(0o644)).expect("ours");
-    let end = folder.run("up -n 5 -k 60 -P 1 --out out --key-file key");
+    let end = folder.run(&format!("{bs} key"));
     assert_refused(&end, 1, &["--key-file key", "other users may read it", "chmod 600"]);
     // A new key is complete, and only its owner may read it.
-    let end = folder.run("up -q -n 5 -k 60 -P 1 --out out --key-file new");
-    assert!(end.is_success(), "{end}");
+    let process = folder.start(&format!("{bs} new --out out"));
+    process.wait_for_stderr("waiting for 5 devices");
     let mode = fs::metadata(folder.join("new")).expect("a key").permissions().mode();
     assert_eq!(mode & 0o777, 0o600);
-    assert_eq!(folder.list("."), ["key", "new", "out", "runtime"]);
+    assert!(!folder.list(".").iter().any(|name| name.contains("draft")));
+    process.signal(Signal::INT);
+    process.finish();
 }
 
 #[test]
