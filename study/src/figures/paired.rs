@@ -1,6 +1,6 @@
 //! Differences of a metric between two policies or conditions. Runs with the same seeds have the same deployments,
-//! epicentres and harvests, so the spread is taken over differences of pairs. `report` judges gaps and ratios by it, and
-//! `reveille compare` shows the differences of sweeps.
+//! epicentres and harvests, so the spread is taken over differences of pairs. `report` judges gaps and ratios by it,
+//! and `reveille compare` shows the differences of sweeps.
 
 use std::collections::BTreeMap;
 
