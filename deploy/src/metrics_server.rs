@@ -3,7 +3,7 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::anyhow;
 use axum::Router;
@@ -16,6 +16,7 @@ use reveille_view::metrics::{ProcessStats, PrometheusMetrics};
 use tokio::net::TcpListener;
 
 use crate::display::note;
+use crate::runtime;
 
 /// Longest wait of a request for the count of the devices.
 const COUNT_PATIENCE: Duration = Duration::from_millis(250);
@@ -122,8 +123,8 @@ pub(crate) fn is_allowed_host(host: Option<&str>, address: SocketAddr) -> bool {
 /// paused or slow, the previous count must do.
 async fn wait_for_count(metrics: &PrometheusMetrics) {
     metrics.request_count();
-    let deadline = Instant::now() + COUNT_PATIENCE;
-    while metrics.is_count_pending() && Instant::now() < deadline {
+    let requested = runtime::now();
+    while metrics.is_count_pending() && requested.elapsed() < COUNT_PATIENCE {
         tokio::time::sleep(COUNT_POLL).await;
     }
 }

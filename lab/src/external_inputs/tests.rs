@@ -183,6 +183,10 @@ fn an_impossible_log_is_refused_with_the_reason() {
         let error = write_and_parse(&decisions).expect_err("impossible");
         assert!(matches!(error, InputLogError::Decision(_)), "{error}");
     }
+}
+
+#[test]
+fn an_invalid_text_is_refused_with_its_place() {
     let scenario = load("quick", &[]).expect("a preset").scenario;
     let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
     assert_eq!(
@@ -214,6 +218,13 @@ fn an_impossible_log_is_refused_with_the_reason() {
             assert_eq!(inputs, ExternalInputs::default(), "{length} bytes");
         }
     }
+}
+
+#[test]
+fn a_second_first_line_and_logs_of_other_runs_and_versions_are_refused() {
+    let scenario = load("quick", &[]).expect("a preset").scenario;
+    let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
+    let removal_line = line(&ExternalInput::Removal(removal(0, 1, 1)));
     let torn = first_line(&scenario) + &removal_line + "garbage";
     assert_eq!(parse(&torn, &scenario).expect("a log").removals, [removal(0, 1, 1)]);
     let twice = first_line(&scenario) + &removal_line + &first_line(&scenario);

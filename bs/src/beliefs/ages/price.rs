@@ -28,7 +28,7 @@ pub fn min_level(energy: &EnergyModel) -> Energy {
 #[derive(Clone, Debug)]
 pub(crate) struct Prices {
     /// Price with a full battery, by device.
-    full_battery_prices: Vec<f64>,
+    at_full_battery: Vec<f64>,
     /// Level below which a device may not sense, by device.
     min_levels: Vec<Energy>,
     e_max: Vec<Energy>,
@@ -52,7 +52,7 @@ impl Prices {
             }
         };
         Self {
-            full_battery_prices: energies().map(|energy| price * relative_cost(energy)).collect(),
+            at_full_battery: energies().map(|energy| price * relative_cost(energy)).collect(),
             min_levels: energies().map(min_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
             current: vec![f64::INFINITY; known.n()],
@@ -86,7 +86,7 @@ impl Prices {
                 f64::INFINITY
             } else {
                 let missing = 1.0 - surcharge_levels[j].micro() as f64 / self.e_max[j].micro() as f64;
-                (self.full_battery_prices[j] * (1.0 + EMPTY_BATTERY_SURCHARGE * missing * missing) * factor(j))
+                (self.at_full_battery[j] * (1.0 + EMPTY_BATTERY_SURCHARGE * missing * missing) * factor(j))
                     .max(MIN_PRICE)
             };
         }
