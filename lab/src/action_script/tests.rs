@@ -154,7 +154,7 @@ fn an_invalid_line_is_refused_with_the_fix() {
         ("5 set events.alpha x", "`x` must be a number"),
         ("5 set policy.age-index.price -1", "must be at least 0"),
         ("from 5 fail 3", "incomplete repetition"),
-        ("from 5 every 0 fail 3", "`every` 0 must be longer"),
+        ("from 5 every 0 fail 3", "`every` must be at least 1 TTI"),
         (
             "from 5 every 60 fail 3 for 60",
             "`every` 60 must be longer than the failure",
