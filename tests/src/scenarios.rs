@@ -260,8 +260,8 @@ fn radio() -> impl Strategy<Value = String> {
     prop_oneof![Just(String::new()), failing]
 }
 
-/// Generates the sections of the policy. [`under`] relies on the first two lines, and `tests/tests/ledger.rs` on cycles
-/// of at most 9 TTIs.
+/// Generates the sections of the policy. [`small_with_policy`] relies on the first two lines, and
+/// `tests/tests/ledger.rs` on cycles of at most 9 TTIs.
 fn policy() -> impl Strategy<Value = String> {
     let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
     let t_drx = proptest::collection::vec(1..=9u32, 1..=2);
