@@ -75,6 +75,9 @@ pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
     lines.join("\n")
 }
 
+/// Columns of a line of text.
+pub(crate) const WIDTH: usize = 80;
+
 /// Formats a number with its noun: `1 run`, `2 runs`.
 pub(crate) fn count_noun(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };

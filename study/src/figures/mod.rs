@@ -22,6 +22,7 @@ mod contour;
 pub mod deployment;
 pub mod energy;
 mod error;
+mod file_labels;
 pub mod floor;
 pub(crate) mod font;
 pub mod front;

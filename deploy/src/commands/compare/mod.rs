@@ -3,6 +3,7 @@
 //! rename them. The text fits 80 columns.
 
 mod messages;
+mod rows;
 mod run;
 mod sweep;
 mod tables;
@@ -18,13 +19,11 @@ use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
 use crate::cli::CompareArgs;
-use crate::display::{count_noun, print_stdout, wrap_indented, wrap_text};
+use crate::display::{WIDTH, count_noun, print_stdout, wrap_indented, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::{MAIN_METRICS, format_number};
 use run::{ComparedRun, Difference};
 
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 /// Width of the names of metrics, and of the cell of a run, in columns.
 const NAME_WIDTH: usize = 27;
 const CELL_WIDTH: usize = 17;

@@ -6,20 +6,18 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::bail;
-use reveille_common::digits::decimals_for;
 use reveille_common::io::Disk;
 use reveille_common::score::Metrics;
 use reveille_study::figures::paired::PairedDifference;
 use reveille_study::figures::results::{Results, RunCondition};
 use serde_json::{Value, json};
 
-use super::WIDTH;
+use super::rows::{Row, format_blocks};
 use super::tables::{self, TableDifference};
 use crate::cli::CompareArgs;
 use crate::commands::figure_files::read_named_tables;
-use crate::display::{print_stdout, wrap_text};
+use crate::display::{WIDTH, print_stdout, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
-use crate::results_table::format_number;
 use crate::run_folder::SCENARIO_FILE;
 
 /// Metrics that are compared by default.
@@ -29,14 +27,6 @@ const METRICS: [&str; 4] = [
     "detection_delay_ttis",
     "energy_per_device_tti",
 ];
-
-/// The difference of a policy from the reference policy or the reference table.
-pub(super) struct Row<'r> {
-    pub metric: &'r str,
-    pub policy: &'r str,
-    pub n: u32,
-    pub found: PairedDifference,
-}
 
 /// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording.
 pub(super) fn is_sweep(path: &Path) -> bool {
@@ -185,65 +175,6 @@ fn text_report(
     }
     if rows.any(is_single) {
         text += "–: one seed has no interval; run the sweep with more --seeds\n";
-    }
-    text
-}
-
-/// Formats differences by metric. `reference` names the column of the reference's means.
-pub(super) fn format_blocks(reference: &str, rows: &[Row<'_>]) -> String {
-    let blocks = rows.chunk_by(|a, b| a.metric == b.metric);
-    blocks.map(|block| format_block(reference, block)).collect()
-}
-
-/// Formats the differences by one metric.
-fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
-    let metric = rows[0].metric;
-    let unit = Metrics::find(metric).map_or("", |metric| metric.unit);
-    let policy_width = rows
-        .iter()
-        .map(|row| row.policy.chars().count())
-        .max()
-        .unwrap_or(0)
-        .max(6);
-    let mut text = format!("\n{}\n", wrap_text(&format!("{metric}, {unit}"), WIDTH));
-    // A long name of the reference would move the columns.
-    let reference = if reference.chars().count() <= 10 {
-        reference
-    } else {
-        "reference"
-    };
-    let _infallible = writeln!(
-        text,
-        "{:<policy_width$} {:>5} {:>5} {:>10} {:>10}   difference and interval",
-        "policy", "N", "seeds", "mean", reference
-    );
-    for Row { policy, n, found, .. } in rows {
-        let PairedDifference {
-            difference, half_width, ..
-        } = *found;
-        let mark = if found.is_paired || half_width.is_nan() {
-            ' '
-        } else {
-            '~'
-        };
-        let change = if half_width.is_finite() {
-            // Two significant digits of the uncertainty; an interval of width 0 leaves four of the difference.
-            let digits = if half_width > 0.0 {
-                decimals_for(half_width, 2)
-            } else {
-                decimals_for(difference, 4)
-            };
-            format!("{difference:+.digits$} ±{half_width:.digits$}")
-        } else {
-            format!("{difference:+.4} –")
-        };
-        let _infallible = writeln!(
-            text,
-            "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}",
-            found.seeds,
-            format_number(found.mean),
-            format_number(found.reference_mean),
-        );
     }
     text
 }

@@ -10,9 +10,8 @@ use reveille_study::figures::results::{Results, RunCondition};
 use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
-use super::WIDTH;
-use super::sweep::{Row, format_blocks};
-use crate::display::wrap_text;
+use super::rows::{Row, format_blocks};
+use crate::display::{WIDTH, wrap_text};
 
 /// The difference of a condition from its counterpart in the first table.
 pub(super) struct TableDifference<'r> {
