@@ -19,7 +19,7 @@ use crate::external_inputs::{ExternalInput, ExternalInputs};
 use crate::run::{Run, RunOptions};
 
 /// Encodes the notifications that a digest covers, messages on the air and their outcomes, as frames. The fingerprint
-/// of resume marks covers the same frames: a change here needs a new `VERSION` in `resume_mark`.
+/// of resume marks covers these frames too, so a change here needs a new `VERSION` in `resume_mark`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DigestFrameEncoder(FrameEncoder);
 

@@ -223,7 +223,7 @@ struct Darts {
     points: Vec<Point>,
     /// The last dart in each cell; [`NO_DART`] for none.
     last_in_cell: Vec<u32>,
-    /// For each dart, the one before it in its cell, or [`NO_DART`].
+    /// For each dart, the previous dart in its cell, or [`NO_DART`].
     previous_in_cell: Vec<u32>,
     columns: usize,
     rows: usize,

@@ -23,8 +23,7 @@ use crate::units::Energy;
 const HASH_FORMAT: &str = "reveille scenario 2";
 
 /// The complete description of a run: two runs of one scenario without external inputs are identical, bit
-/// for bit. `P` is the policy with its
-/// settings, a [`PolicyChoice`] of the program's policies.
+/// for bit. `P` is the policy and its settings, a [`PolicyChoice`] of the program's policies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario<P> {
     /// The general settings of the run.

@@ -124,8 +124,8 @@ impl ExternalInputs {
         }
     }
 
-    /// Returns the inputs without the first ones of each kind, as many as `known_counts`: an earlier [`Self::counts`]
-    /// of the same inputs.
+    /// Returns the inputs without the first ones of each kind, as many as `known_counts`, which an earlier call of
+    /// [`Self::counts`] returned.
     ///
     /// # Panics
     /// If there are fewer.

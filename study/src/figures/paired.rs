@@ -32,7 +32,7 @@ pub struct PairedDifference {
 }
 
 impl PairedDifference {
-    /// Compares the runs of a policy under a condition with those of `reference`, both with `n` devices, by `metric`.
+    /// Compares the runs of a policy under a condition with runs of `reference`, both with `n` devices, by `metric`.
     /// Returns `None` without a common seed under which both have a value.
     pub fn new(own: Series<'_>, reference: Series<'_>, n: u32, metric: &str) -> Option<Self> {
         fn by_seed<'r>((condition, policy): Series<'r>, n: u32, metric: &str) -> BTreeMap<u64, &'r ResultRow> {

@@ -1,6 +1,6 @@
 //! Cells of the area, with a margin of unused cells, so that the square around any disc can be read without bounds
 //! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]; `CertainStaleness` uses a margin only
-//! where the area is smaller than a square. The cells determine gains, and so digests and learned tables;
+//! where the area is smaller than a square. Gains depend on the cells, therefore digests and learned tables do too;
 //! `tests/src/reference/age_index.rs` computes them again.
 
 use reveille_common::geometry::{Area, Point};

@@ -26,7 +26,7 @@ pub(super) struct TableDifference<'r> {
     pub rows: Vec<Row<'r>>,
 }
 
-/// Returns the results of each table alone, whose conditions are not merged with those of other tables.
+/// Returns the results of each table. Conditions of different tables are not merged.
 pub(super) fn read_separately(tables: &[(String, Table)]) -> Result<Vec<Results>, FigureError> {
     let with_runs = tables.iter().filter(|(_, table)| !table.rows.is_empty());
     with_runs
