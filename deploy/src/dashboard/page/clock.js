@@ -9,13 +9,21 @@ const POLL_INTERVAL = 1000;
 // A pace in milliseconds; the clock reports it as "Max" or in microseconds per TTI.
 const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
 
+// Shows the pace of the clock when it changes: a number typed but not yet set stays in the field.
+let shownPace;
+function showPace(pace) {
+  if (pace === shownPace) return;
+  shownPace = pace;
+  byId("pace").value = pace;
+}
+
 // Shows a status. Returns whether the clock is paused, or runs to the end.
 function showStatus({ status }) {
   // The curves of a paused run do not wait for their next refresh.
   if (status.paused && page.clock?.tti !== status.tti) page.onPause();
   page.clock = status;
   const isStopping = status.until < status.ttis;
-  if (document.activeElement !== byId("pace")) byId("pace").value = milliseconds(status.pace);
+  showPace(milliseconds(status.pace));
   byId("pause").textContent = status.paused || isStopping ? "Resume" : "Pause";
   const hosts = status.lost.map(({ host, first, last }) => `host ${host} with devices ${first} to ${last}`);
   const notes = [hosts.length ? `waiting for ${hosts.join(", ")}` : "", isStopping && !status.paused ? `to stop before TTI ${status.until}` : ""];
