@@ -176,6 +176,7 @@ fn wrong_requests_are_refused() {
         ),
         ("s --exit-code", 2, "--exit-code needs runs"),
         ("s r", 2, "sweeps and runs do not compare"),
+        ("s nowhere", 1, "nowhere: no such file or folder; name a sweep folder"),
         ("r r --against knn", 2, "--against and --metric need a sweep"),
         ("nowhere.parquet", 1, "nowhere.parquet: no such file; name a table"),
     ] {

@@ -6,10 +6,8 @@ use std::fmt::Write as _;
 use clap::builder::Styles;
 use clap::{Command, Subcommand};
 
-use crate::display::wrap_text;
+use crate::display::{WIDTH, wrap_text};
 
-/// Most columns of a line of the list.
-const WIDTH: usize = 80;
 /// Columns for the name of a command in the list, with the indent of two.
 const NAME_WIDTH: usize = 13;
 /// Help of the command that clap adds.

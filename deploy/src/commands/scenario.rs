@@ -11,11 +11,8 @@ use reveille_common::energy_balance::EnergyBalance;
 
 use super::energy_balance::format_balance;
 use crate::cli::ScenarioCommand;
-use crate::display::{self, note, wrap_text};
+use crate::display::{self, WIDTH, note, wrap_text};
 use crate::paths::check_output_path;
-
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 
 /// Shows or checks scenarios.
 pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {

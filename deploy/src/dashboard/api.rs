@@ -23,7 +23,8 @@ use serde_json::{Value, json};
 use subtle::ConstantTimeEq;
 use tokio::sync::{Semaphore, watch};
 
-use super::feed::{CurvePoint, Feed};
+use super::curves::CurvePoint;
+use super::feed::Feed;
 use super::timeline::{MAX_COLUMNS, MAX_DEVICE_TTIS, TimelineRequest, parse_rows};
 use crate::metrics_server::is_allowed_host;
 

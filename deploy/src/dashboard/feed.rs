@@ -19,10 +19,10 @@ use reveille_view::batch_receiver::{BatchReceiver, lower_priority};
 use reveille_view::compare::{FieldDifference, FirstDifference, RunComparison, RunSide};
 use reveille_view::history::{RunHistory, TtiSnapshot};
 use reveille_view::traffic::TrafficStats;
-use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
 
+use super::curves::{CURVE_METRICS, CurvePoint, Curves};
 use super::events::EventLog;
 use super::timeline::{TimelineCursor, TimelineRequest, battery_byte};
 
@@ -32,23 +32,8 @@ const MAX_LIVE_TTIS: u64 = 100_000;
 const QUEUE_CAPACITY: usize = 65_536;
 /// Time after which the thread that waits for frames stops waiting and waits again.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
-/// Most points of a curve; beyond that, every other point is dropped.
-const MAX_CURVE_POINTS: usize = 800;
-/// Initial distance of two points in TTIs, in a run that is long enough.
-const FIRST_SPACING_TTIS: u64 = 10;
-/// Metrics that have a curve.
-const CURVE_METRICS: [&str; 6] = [
-    "info_p1",
-    "misdetection_pct",
-    "detection_delay_ttis",
-    "energy_sensing_per_device_tti",
-    "energy_sleep_per_device_tti",
-    "energy_report_per_device_tti",
-];
 /// Maximum number of events in the list of the latest events.
 const MAX_TICKER_EVENTS: usize = 6;
-/// Battery quantiles that have a curve.
-const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
 /// The place that the frames of a feed come from.
 #[derive(Clone, Copy)]
@@ -97,10 +82,7 @@ struct FeedState {
     history: RunHistory,
     comparison: Option<RunComparison>,
     traffic: TrafficStats,
-    points: Vec<CurvePoint>,
-    /// TTIs between two points.
-    spacing: u64,
-    next_point: Tti,
+    curves: Curves,
     /// The reason why the feed is broken: the states no longer follow the run. `None` if they do.
     broken_reason: Option<String>,
     /// Outcomes so far of the current event.
@@ -111,21 +93,6 @@ struct FeedState {
     /// Time of the first grant, and of the end of the feed.
     started: Option<Instant>,
     ended: Option<Instant>,
-}
-
-/// A point of every curve.
-#[derive(Clone, Serialize)]
-pub(crate) struct CurvePoint {
-    /// The last TTI that the values include.
-    tti: Tti,
-    /// Values of [`CURVE_METRICS`]; `None` before the first event or the end of the warm-up.
-    metrics: [Option<f64>; CURVE_METRICS.len()],
-    /// [`QUANTILES`] of the batteries, units.
-    batteries: [Option<f64>; QUANTILES.len()],
-    /// Control overhead, bytes per TTI.
-    control: f64,
-    /// Reports, bytes per TTI.
-    uplink: f64,
 }
 
 /// Sends frames to a feed.
@@ -207,11 +174,7 @@ impl Feed {
                     .map(|compared| std::mem::take(&mut compared.comparison)),
                 history: RunHistory::new(scenario, max_ttis),
                 traffic: TrafficStats::default(),
-                points: Vec::new(),
-                // A short run gets a point for every TTI. A longer one starts with up to FIRST_SPACING_TTIS between
-                // points, and `add_curve_point` thins it out.
-                spacing: (scenario.run.ttis / MAX_CURVE_POINTS as u64).clamp(1, FIRST_SPACING_TTIS),
-                next_point: Tti::ZERO,
+                curves: Curves::new(scenario.run.ttis),
                 broken_reason: None,
                 event_outcomes: Vec::new(),
                 ticker: VecDeque::new(),
@@ -391,13 +354,9 @@ impl Feed {
     }
 
     /// The points of all curves so far. The last point has the same frames as [`Self::current_json`].
-    pub(crate) fn curves(&self) -> Vec<CurvePoint> {
-        let mut state = self.lock();
-        let current = state.curve_point();
-        let mut points = state.points.clone();
-        points.pop_if(|last| current.as_ref().is_some_and(|current| current.tti == last.tti));
-        points.extend(current);
-        points
+    pub(super) fn curves(&self) -> Vec<CurvePoint> {
+        let state = &mut *self.lock();
+        state.curves.points(&mut state.history, &state.traffic)
     }
 
     /// The ended events of the TTIs from `from` up to but excluding `end`.
@@ -461,8 +420,8 @@ impl FeedState {
     fn apply(&mut self, frame: Frame) {
         // Only between two grants: the outcomes of a grant, such as the end of an event, follow its first frame.
         let is_between = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
-        if is_between && self.history.available_ttis().1 >= self.next_point {
-            self.add_curve_point();
+        if is_between {
+            self.curves.update(&mut self.history, &self.traffic);
         }
         self.traffic.count(&frame);
         if self.broken_reason.is_some() {
@@ -525,45 +484,6 @@ impl FeedState {
             };
             self.event_outcomes.push(format!("{device} {outcome}"));
         }
-    }
-
-    /// Adds a point to every curve.
-    fn add_curve_point(&mut self) {
-        let Some(curve_point) = self.curve_point() else { return };
-        self.next_point = curve_point.tti + 1;
-        self.points.push(curve_point);
-        // Keeps every other point, the first included, at twice the distance, so that memory stays bounded.
-        if self.points.len() > MAX_CURVE_POINTS {
-            let mut is_odd = false;
-            self.points.retain(|_| {
-                is_odd = !is_odd;
-                is_odd
-            });
-            self.spacing *= 2;
-        }
-        self.next_point = self.next_point + self.spacing;
-    }
-
-    /// Computes a point of every curve from the frames so far; `None` before TTI 0.
-    fn curve_point(&mut self) -> Option<CurvePoint> {
-        let tti = self.history.now().mirror().current_tti()?;
-        let views = self.history.views();
-        let mut batteries: Vec<Energy> = views.iter().map(|view| view.battery).collect();
-        batteries.sort_unstable();
-        let quantile = |share: f64| {
-            let index = (share * batteries.len().saturating_sub(1) as f64).round() as usize;
-            batteries.get(index).map(|level| level.units())
-        };
-        let metrics = self.history.now().metrics();
-        let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
-        let ttis = self.traffic.ttis().max(1) as f64;
-        Some(CurvePoint {
-            tti,
-            metrics: CURVE_METRICS.map(value),
-            batteries: QUANTILES.map(quantile),
-            control: self.traffic.control().bytes as f64 / ttis,
-            uplink: self.traffic.uplink().bytes as f64 / ttis,
-        })
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod api;
 mod commands;
+mod curves;
 mod events;
 pub(crate) mod feed;
 mod page;

@@ -34,10 +34,15 @@ const MAX_COLUMNS: usize = 3;
 
 /// Compares the runs or the policies of sweeps.
 pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
-    match args.runs.iter().filter(|path| sweep::is_sweep(path)).count() {
-        0 => compare_runs(args),
-        sweeps if sweeps == args.runs.len() => sweep::compare(args),
-        _ => bail!(InvalidUsage(
+    let (sweeps, runs): (Vec<_>, Vec<_>) = args.runs.iter().partition(|path| sweep::is_sweep(path));
+    match (sweeps.is_empty(), runs.iter().find(|path| !path.exists())) {
+        (true, _) => compare_runs(args),
+        (false, _) if runs.is_empty() => sweep::compare(args),
+        (false, Some(missing)) => bail!(
+            "{}: no such file or folder; name a sweep folder or a result table",
+            missing.display()
+        ),
+        (false, None) => bail!(InvalidUsage(
             "sweeps and runs do not compare; name only runs, or only sweep folders and result tables".to_owned()
         )),
     }

@@ -23,6 +23,13 @@ pub(super) fn format_blocks(reference: &str, rows: &[Row<'_>]) -> String {
     blocks.map(|block| format_block(reference, block)).collect()
 }
 
+/// Formats `x` with its sign; without one if it rounds to zero.
+fn format_signed(x: f64, decimals: usize) -> String {
+    let text = format!("{x:+.decimals$}");
+    let is_zero = !text.contains(|c: char| matches!(c, '1'..='9'));
+    text[usize::from(is_zero)..].to_owned()
+}
+
 /// Formats the differences by one metric.
 fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
     let metric = rows[0].metric;
@@ -61,7 +68,7 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
             } else {
                 decimals_for(difference, 4)
             };
-            format!("{difference:+.digits$} ±{half_width:.digits$}")
+            format!("{} ±{half_width:.digits$}", format_signed(difference, digits))
         } else {
             format!("{difference:+.4} –")
         };
@@ -74,4 +81,17 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_that_rounds_to_zero_has_no_sign() {
+        assert_eq!(format_signed(-0.4, 0), "0");
+        assert_eq!(format_signed(0.004, 2), "0.00");
+        assert_eq!(format_signed(-0.006, 2), "-0.01");
+        assert_eq!(format_signed(12.0, 0), "+12");
+    }
 }

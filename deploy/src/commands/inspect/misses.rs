@@ -11,12 +11,10 @@ use reveille_study::misses::{Advice, InvolvedDevice, MissMap, Misses, cause_name
 use serde_json::{Value, json};
 
 use crate::cli::MissesArgs;
-use crate::display::{print_stdout, wrap_text};
+use crate::display::{WIDTH, print_stdout, wrap_text};
 use crate::exit::ExitReason;
 use crate::run_reader::{Row, RunReader};
 
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 /// Most bins of TTIs.
 const MAX_BINS: u64 = 10;
 /// Statistics of a device from `devices.csv`.

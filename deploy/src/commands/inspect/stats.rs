@@ -13,11 +13,9 @@ use serde_json::{Value, json};
 
 use super::source::{FrameSource, check_tti_range};
 use crate::cli::StatsArgs;
-use crate::display::{count_noun, note, print_stdout, wrap_text};
+use crate::display::{WIDTH, count_noun, note, print_stdout, wrap_text};
 use crate::exit::ExitReason;
 
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 /// Time between two tables with `--watch`; without it there is only the table at the end.
 const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 

@@ -14,10 +14,8 @@ use reveille_lab::table::SweptValue;
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
-use crate::display::{count_noun, format_speed, wrap_text};
+use crate::display::{WIDTH, count_noun, format_speed, wrap_text};
 
-/// Columns of a line of text.
-const WIDTH: usize = 80;
 /// Heading of the number of runs of a cell.
 const RUNS: &str = "runs";
 /// Most lines of a script that are shown.
