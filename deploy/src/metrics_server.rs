@@ -14,12 +14,16 @@ use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
 use reveille_view::metrics::{ProcessStats, PrometheusMetrics};
 use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 use crate::display::note;
 use crate::runtime;
 
 /// Longest wait of a request for the count of the devices.
 const COUNT_PATIENCE: Duration = Duration::from_millis(250);
+/// Longest wait of a shutdown for the current requests.
+const SHUTDOWN_PATIENCE: Duration = Duration::from_secs(1);
 /// Interval at which a request looks for that count.
 const COUNT_POLL: Duration = Duration::from_millis(2);
 const OPENMETRICS_TYPE: &str = "application/openmetrics-text";
@@ -56,7 +60,24 @@ pub(crate) fn listen_error(option: &str, address: &str, error: &std::io::Error) 
     }
 }
 
-/// Serves `metrics` at `address` until the program ends. `process_stats` returns the statistics of the processes.
+/// A running server.
+pub(crate) struct MetricsServer {
+    shutdown: oneshot::Sender<()>,
+    task: JoinHandle<()>,
+}
+
+impl MetricsServer {
+    /// Refuses new requests, and returns once the current ones have their responses.
+    pub(crate) async fn shut_down(self) {
+        let has_failed = self.shutdown.send(()).is_err();
+        if !has_failed {
+            let _exceeded = tokio::time::timeout(SHUTDOWN_PATIENCE, self.task).await.is_err();
+        }
+    }
+}
+
+/// Serves `metrics` at `address` until the server is shut down or the program ends. `process_stats` returns the
+/// statistics of the processes.
 ///
 /// # Errors
 /// If it cannot listen there.
@@ -64,7 +85,7 @@ pub(crate) async fn serve(
     address: &str,
     metrics: Arc<PrometheusMetrics>,
     process_stats: Arc<ProcessProbe>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<MetricsServer> {
     let with_option = |error| listen_error("--metrics", address, &error);
     let listener = TcpListener::bind(address).await.map_err(with_option)?;
     let local_address = listener.local_addr().map_err(with_option)?;
@@ -79,12 +100,19 @@ pub(crate) async fn serve(
         .route("/metrics", get(serve_metrics))
         .layer(middleware::from_fn_with_state(state.clone(), check_host))
         .with_state(state);
-    tokio::spawn(async move {
-        if let Err(error) = axum::serve(listener, router).await {
+    let (shutdown, is_shut_down) = oneshot::channel();
+    let server = axum::serve(listener, router).with_graceful_shutdown(async {
+        if is_shut_down.await.is_err() {
+            // Dropped without a shutdown: the server stays until the program ends.
+            std::future::pending::<()>().await;
+        }
+    });
+    let task = tokio::spawn(async move {
+        if let Err(error) = server.await {
             tracing::warn!(%error, "the metrics server has stopped");
         }
     });
-    Ok(())
+    Ok(MetricsServer { shutdown, task })
 }
 
 /// Refuses requests from pages of other sites whose name resolves to this machine.

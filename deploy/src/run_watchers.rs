@@ -10,7 +10,7 @@ use reveille_view::metrics::{MetricsObserver, ProcessStats, PrometheusMetrics};
 use reveille_view::recording::RecorderHandle;
 
 use crate::cli::OutputArgs;
-use crate::metrics_server;
+use crate::metrics_server::{self, MetricsServer};
 use crate::paths::check_output_path;
 use crate::recording::{RunRecording, is_growing};
 
@@ -19,6 +19,7 @@ pub(crate) struct RunWatchers {
     recording: RunRecording,
     recorder: Option<RecorderHandle>,
     metrics: Option<Arc<PrometheusMetrics>>,
+    metrics_server: Option<MetricsServer>,
 }
 
 /// Checks, before a run folder exists, that the watchers requested by `args` can be started.
@@ -63,7 +64,7 @@ impl RunWatchers {
     ) -> anyhow::Result<Self> {
         let recording = RunRecording::start(args, run, scenario)?;
         let recorder = recording.recorder();
-        let metrics = match &args.metrics {
+        let (metrics, metrics_server) = match &args.metrics {
             Some(address) => {
                 let metrics = PrometheusMetrics::new(run, scenario);
                 let metrics_recorder = recorder.clone();
@@ -73,15 +74,16 @@ impl RunWatchers {
                         .map_or(0.0, |recorder| recorder.waited().as_secs_f64()),
                     ..process_stats()
                 };
-                metrics_server::serve(address, Arc::clone(&metrics), Arc::new(process_stats)).await?;
-                Some(metrics)
+                let server = metrics_server::serve(address, Arc::clone(&metrics), Arc::new(process_stats)).await?;
+                (Some(metrics), Some(server))
             }
-            None => None,
+            None => (None, None),
         };
         Ok(Self {
             recording,
             recorder,
             metrics,
+            metrics_server,
         })
     }
 
@@ -112,11 +114,14 @@ impl RunWatchers {
         move || recorder.as_ref().is_some_and(|recorder| recorder.failure().is_some())
     }
 
-    /// Closes the recording, with the text of the summary if the run has one.
+    /// Ends the watchers. Closes the recording with the text of the summary if the run has one.
     ///
     /// # Errors
     /// If the recording could not be written.
-    pub(crate) fn finish(self, summary: Option<String>) -> anyhow::Result<()> {
+    pub(crate) async fn finish(self, summary: Option<String>) -> anyhow::Result<()> {
+        if let Some(server) = self.metrics_server {
+            server.shut_down().await;
+        }
         self.recording.finish(summary)
     }
 }

@@ -74,8 +74,9 @@ def check(reveille, folder):
         last_text, last_ttis = None, 0
         while run.poll() is None:
             try:
-                last_text = get(url) or last_text
+                last_text = get(url)
             except urllib.error.URLError:
+                # The server no longer listens. A request that it has accepted must have its response.
                 pass
             if last_text:
                 ttis = value(last_text, "reveille_ttis_total")

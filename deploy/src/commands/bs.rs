@@ -239,7 +239,10 @@ pub(crate) async fn serve_run(
             // The recording is closed even if the learned tables cannot be written. The summary comes last: with it the
             // folder counts as complete.
             let learned_written = folder.write_learned(scenario, &served.outcome);
-            let recording_closed = summary.to_json().and_then(|text| watchers.finish(Some(text)));
+            let recording_closed = match summary.to_json() {
+                Ok(text) => watchers.finish(Some(text)).await,
+                Err(error) => Err(error),
+            };
             learned_written
                 .and(recording_closed)
                 .and_then(|()| folder.finish(scenario, &served.outcome, &summary))
@@ -252,7 +255,7 @@ pub(crate) async fn serve_run(
             };
             folder.fail(&error);
             // The run's own error is the one to report; an error of the recording would hide it.
-            let _closed = watchers.finish(None).is_ok();
+            let _closed = watchers.finish(None).await.is_ok();
             Err(error)
         }
     };

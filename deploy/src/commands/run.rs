@@ -130,7 +130,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let summary = Summary::new(&scenario, &outcome, timing);
     let path = run_observers.folder.path().to_owned();
-    watchers.finish(Some(summary.to_json()?))?;
+    runtime.block_on(watchers.finish(Some(summary.to_json()?)))?;
     run_observers.folder.write_learned(&scenario, &outcome)?;
     // On a full disk the error of the tables names the cause; the error of the mark would hide it.
     run_observers.folder.finish(&scenario, &outcome, &summary)?;
