@@ -196,6 +196,10 @@ fn invalid_studies_are_refused() {
         ("harvest --e-b -1,5", &["--e-b -1,5", "must be above 0"]),
         ("harvest --readings eq6", &["`eq6`", "must be eq5 or exp-minus-lambda"]),
         ("harvest --seeds 0", &["seeds = 0"]),
+        (
+            "transitions --set radio.false_wake_up=0.1",
+            &["radio = impaired: must have no losses"],
+        ),
         ("transitions --devices 0", &["devices = 0", "--devices"]),
         ("imin --devices 0", &["devices = 0", "--devices"]),
         ("imin --layouts hexx", &["layout.kind", "hexx", "--layouts"]),

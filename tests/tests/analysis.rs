@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use proptest::test_runner::Config;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::radio::RadioSettings;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
 use reveille_study::analysis::transitions::measure;
@@ -66,7 +67,8 @@ proptest! {
 
     #[test]
     fn transmissions_equal_the_transmissions_of_the_reference(text in scenarios::small()) {
-        let scenario = scenarios::scenario(&text);
+        let mut scenario = scenarios::scenario(&text);
+        scenario.radio = RadioSettings::default();
         let expected = reference::simulate(&scenario);
         if expected.ambiguous.is_some() {
             return Err(TestCaseError::reject("too close to call"));

@@ -1,8 +1,9 @@
-//! Transitions between S1 … S4, counted in a run; `tests/tests/analysis.rs` counts them independently.
+//! Transitions between S1 … S4, counted in a run with a perfect radio. `tests/tests/analysis.rs` counts them
+//! independently in runs whose devices can pay for every action; the unit test here has the other paths.
 //!
-//! Within a TTI a device follows the state machine. It starts in S1 (δ = 1, paid) or S4 (δ = 0, or δ = 1 that it could
-//! not pay). A detection or a wake-up takes it to S2, and from there to S3 or, unpaid, to S4. The last state of a TTI
-//! leads to the first of the next. Each visit but the last has exactly one successor.
+//! Within a TTI a device starts in S1 (δ = 1, paid) or S4 (δ = 0, or δ = 1 that it could not pay). A detection or a
+//! wake-up takes it to S2. It leaves S2 to S3, or to S4 if it cannot pay for the report. The last state of a TTI leads
+//! to the first of the next. Each visit but the last has exactly one successor.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
@@ -50,7 +51,7 @@ const S4: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct TtiPath {
     first_state: usize,
-    /// State that followed S2, if S2 was entered.
+    /// State after S2, if S2 was entered.
     state_after_active: Option<usize>,
 }
 
@@ -60,7 +61,7 @@ impl TtiPath {
     fn new(state: DeviceState, is_on: bool, spent: Energy, cost: Energy) -> Self {
         let initial_state = if is_on { S1 } else { S4 };
         let (first_state, state_after_active) = match state {
-            // Paid for δ, without a detection or a wake-up.
+            // Paid for δ, without a detection or a wake-up. With a perfect radio no wake-up ends in S4 paid.
             DeviceState::Idle | DeviceState::Sleep { powered: true } => (initial_state, None),
             DeviceState::Transmission => (initial_state, Some(S3)),
             // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
@@ -81,8 +82,8 @@ impl TtiPath {
     }
 }
 
-/// Counts the transitions of all devices in the measured part of a run of `scenario`. Also returns the duty cycles in
-/// its first TTI.
+/// Counts the transitions of all devices of `deployment` in the measured part of a run of its `scenario`. Also returns
+/// the duty cycles in the first TTI, for the closed forms.
 pub(super) fn count_run(scenario: &Scenario, deployment: &Deployment) -> (TransitionCounts, Vec<DutyCycle>) {
     let options = RunOptions {
         // Devices are counted after every TTI, so each grant covers one.
@@ -108,9 +109,9 @@ pub(super) fn count_run(scenario: &Scenario, deployment: &Deployment) -> (Transi
             if k > first_measured {
                 counts.record(last_state, path.first_state);
             }
-            if let (true, Some(end)) = (k >= first_measured, path.state_after_active) {
+            if let (true, Some(state_after_active)) = (k >= first_measured, path.state_after_active) {
                 counts.record(path.first_state, S2);
-                counts.record(S2, end);
+                counts.record(S2, state_after_active);
             }
             previous[j] = (path.last_state(), spent);
         }

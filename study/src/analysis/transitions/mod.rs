@@ -66,9 +66,14 @@ pub struct Transitions {
 /// for the same deployments. The forms use the duty cycles of the first TTI.
 ///
 /// # Errors
-/// If `seeds` is 0 or above 1 000 000.
+/// If `seeds` is 0 or above 1 000 000, or the radio is not perfect.
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisError> {
     check_seeds(seeds)?;
+    if !scenario.radio.is_perfect() {
+        let requirement = "must have no losses, false wake-ups or latency: the printed forms assume a perfect radio, and \
+                           so does the count; leave out the fields of `radio`";
+        return Err(AnalysisError::invalid("radio", &"impaired", requirement));
+    }
     let runs = map_seeds(scenario, seeds, |one| {
         let deployment = Deployment::new(one);
         let (counts, duties) = measured::count_run(one, &deployment);
