@@ -210,6 +210,14 @@ impl ClassBalance {
                 "no energy is harvested in the {ttis} TTIs of the run; change the fields of harvest, or run longer"
             ));
         }
+        if self.sleeping_ratio().is_some_and(|ratio| ratio < 1.0) {
+            return Some(format!(
+                "the harvest of {} units per TTI does not pay for sleeping ({}), so batteries run down under every \
+                 policy; change the fields of harvest, or lower energy.e_wur",
+                format_significant(mean, 3),
+                format_significant(self.sleeping_cost, 3)
+            ));
+        }
         let (action, consumption) = if self.sensing_cost >= self.sleeping_cost {
             ("sensing", self.sensing_cost)
         } else {

@@ -5,11 +5,13 @@ use std::fmt;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::digits::format_significant;
-use reveille_common::energy_balance::EnergyBalance;
+use reveille_common::energy_balance::{ClassBalance, EnergyBalance};
 use reveille_common::geometry::Point;
 use reveille_common::harvest::{Arrivals, Harvest};
 use reveille_common::scenario::DeviceClass;
 use reveille_common::totals::MissCause;
+
+use crate::analysis::harvest::{LambdaReading, lambdas_with_positive_net};
 
 /// Metrics of a finished run about energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,38 +75,130 @@ fn sense_less(policy: &str) -> Vec<&'static str> {
     }
 }
 
-/// Returns the changes that give the devices more energy. A larger battery is among them only if batteries overflowed.
-fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> Vec<&'static str> {
-    let is_trace = |class: &DeviceClass| matches!(class.harvest, Harvest::Trace(_));
-    let has_rare_arrivals = |class: &DeviceClass| match class.harvest {
-        Harvest::Eq5(Arrivals { lambda, .. }) => lambda * scenario.run.tau < 0.5,
-        Harvest::ExpMinusLambda(_) | Harvest::Mpp(_) | Harvest::Diurnal(_) | Harvest::Trace(_) => false,
-    };
-    let mut changes = if scenario.classes.iter().any(is_trace) {
-        vec!["raise harvest.trace.scale (the panel's area_cm2 with irradiance)"]
-    } else if scenario.classes.iter().any(has_rare_arrivals) {
-        vec!["raise harvest.lambda", "raise harvest.e_b"]
-    } else {
-        vec!["raise harvest.e_b"]
-    };
-    if energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0) {
-        changes.push("raise energy.e_max");
-    }
-    changes
+/// The device class whose harvest covers the smallest part of its consumption, and its energy balance.
+struct WeakestClass<'s> {
+    class: &'s DeviceClass,
+    balance: ClassBalance,
+    /// Whether other classes have devices too.
+    is_one_of_several: bool,
+    /// Duration τ of a TTI.
+    tau: f64,
 }
 
-/// Returns a sentence with the expected harvest and the costs of a device.
-fn balance(scenario: &Scenario) -> String {
-    let balance = EnergyBalance::new(scenario);
-    let number = |x: f64| format_significant(x, 3);
-    let class = balance.classes.first();
-    let [sleeping, sensing] = class.map_or([0.0; 2], |class| [class.sleeping_cost, class.sensing_cost]);
-    format!(
-        "A device harvests {} units per TTI; sleeping costs {}, sensing {}",
-        number(balance.harvest().mean),
-        number(sleeping),
-        number(sensing)
-    )
+impl<'s> WeakestClass<'s> {
+    fn new(scenario: &'s Scenario) -> Option<Self> {
+        let classes = EnergyBalance::new(scenario).classes;
+        let is_one_of_several = classes.len() > 1;
+        let ratio = |class: &ClassBalance| class.sleeping_ratio().unwrap_or(f64::INFINITY);
+        let balance = classes.into_iter().min_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
+        Some(Self {
+            class: scenario.classes.iter().find(|class| class.name == balance.name)?,
+            balance,
+            is_one_of_several,
+            tau: scenario.run.tau,
+        })
+    }
+
+    /// Whether the harvest pays for sleeping. Otherwise batteries run down under every policy.
+    fn can_sleep(&self) -> bool {
+        self.balance.sleeping_ratio().is_none_or(|ratio| ratio >= 1.0)
+    }
+
+    /// Describes the expected harvest and the costs of a device, in sentences.
+    fn describe(&self) -> String {
+        let number = |x: f64| format_significant(x, 3);
+        let class = if self.is_one_of_several {
+            format!(" of class {}", self.class.name)
+        } else {
+            String::new()
+        };
+        let text = format!(
+            "A device{class} harvests {} units per TTI; sleeping costs {}, sensing {}.",
+            number(self.balance.harvest.mean),
+            number(self.balance.sleeping_cost),
+            number(self.balance.sensing_cost)
+        );
+        if self.can_sleep() {
+            text
+        } else {
+            text + " The harvest does not pay for sleeping, so batteries run down under every policy."
+        }
+    }
+
+    /// Lists which values of a field pay for sleeping, unless the harvest does so already, and for sensing in every TTI.
+    /// `value_for` returns the value at which the harvest equals a consumption in units per TTI; `None` if none does.
+    fn amounts(&self, value_for: impl Fn(f64) -> Option<f64>) -> Vec<String> {
+        let costs = [
+            (self.balance.sleeping_cost, "sleeping"),
+            (self.balance.sensing_cost, "sensing in every TTI"),
+        ];
+        let unpaid = costs.into_iter().filter(|(cost, _)| *cost > self.balance.harvest.mean);
+        unpaid
+            .filter_map(|(cost, action)| Some((value_for(cost)?, action)))
+            .map(|(value, action)| format!("{} pays for {action}", format_significant(value, 3)))
+            .collect()
+    }
+
+    /// Returns the changes that give the devices more energy. A larger battery is among them only if batteries
+    /// overflowed.
+    fn harvest_more(&self, energy: Option<RunEnergy>) -> Vec<String> {
+        let with_amounts = |change: String, amounts: Vec<String>| {
+            if amounts.is_empty() {
+                change
+            } else {
+                format!("{change}: {}", amounts.join(", "))
+            }
+        };
+        let mean = self.balance.harvest.mean;
+        // A device that harvests nothing in this run has no amount to scale.
+        let factor_for = |cost: f64| (mean > 0.0).then(|| cost / mean);
+        let mut changes = Vec::new();
+        if let Harvest::Trace(_) = self.class.harvest {
+            changes.push(with_amounts(
+                "raise harvest.trace.scale (the panel's area_cm2 with irradiance) by a factor".to_owned(),
+                self.amounts(factor_for),
+            ));
+        } else {
+            let e_b = self.class.harvest.max_per_tti().units();
+            if let Harvest::Eq5(Arrivals { lambda, .. }) = self.class.harvest
+                && lambda * self.tau < 0.5
+            {
+                let lambda_for =
+                    |cost: f64| Some(lambdas_with_positive_net(LambdaReading::Eq5, e_b, cost, self.tau)?.0);
+                let amounts = self.amounts(lambda_for);
+                if self.can_sleep() || !amounts.is_empty() {
+                    let change = format!("raise harvest.lambda = {}", format_significant(lambda, 3));
+                    changes.push(with_amounts(change, amounts));
+                }
+            }
+            changes.push(with_amounts(
+                format!("raise harvest.e_b = {}", format_significant(e_b, 3)),
+                self.amounts(|cost| Some(e_b * factor_for(cost)?)),
+            ));
+        }
+        if !self.can_sleep() && mean > 0.0 {
+            changes.push(format!(
+                "lower energy.e_wur = {} below {}",
+                format_significant(self.class.energy.e_wur.units(), 3),
+                format_significant(mean, 3)
+            ));
+        }
+        if energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0) {
+            changes.push("raise energy.e_max".to_owned());
+        }
+        changes
+    }
+
+    /// Returns the changes that help devices without enough energy: more energy, and less consumption by the policy or
+    /// by the changes in `spend_less` if the harvest pays for sleeping.
+    fn save_energy(&self, energy: Option<RunEnergy>, policy: &str, spend_less: &[&str]) -> Vec<String> {
+        let mut changes = self.harvest_more(energy);
+        if self.can_sleep() {
+            let others = spend_less.iter().copied().chain(sense_less(policy));
+            changes.extend(others.map(str::to_owned));
+        }
+        changes
+    }
 }
 
 /// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
@@ -131,11 +225,17 @@ pub(super) fn advice(
 /// In a run with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
 fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
-    let spent = scenario
-        .classes
-        .first()
-        .map_or(f64::NAN, |class| class.energy.e_tx.units());
-    let harvest_more = || harvest_more(scenario, energy);
+    let weakest = WeakestClass::new(scenario);
+    let save_energy = |spend_less: &[&str]| {
+        let weakest = weakest.as_ref();
+        weakest.map_or_else(Vec::new, |class| class.save_energy(energy, policy, spend_less))
+    };
+    let harvest_more = || {
+        weakest
+            .as_ref()
+            .map_or_else(Vec::new, |class| class.harvest_more(energy))
+    };
+    let balance = || weakest.as_ref().map_or_else(String::new, WeakestClass::describe);
     let owned = |changes: Vec<&str>| changes.into_iter().map(str::to_owned).collect::<Vec<_>>();
     let low_energy = energy
         .map(|energy| energy.low_energy_pct)
@@ -170,19 +270,19 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
                 Some(low) => {
                     background = Some(format!(
                         "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty \
-                         them. {}.",
-                        balance(scenario)
+                         them. {}",
+                        balance()
                     ));
-                    owned(harvest_more())
+                    harvest_more()
                 }
                 None => owned(sense_more(policy)),
             },
         ),
         MissCause::Unpowered => {
-            background = Some(format!("{}.", balance(scenario)));
+            background = Some(balance());
             (
-                "near devices that were told to sense and had no power".to_owned(),
-                owned([harvest_more(), sense_less(policy)].concat()),
+                "near devices that had no power to sense in their TTIs of δ = 1".to_owned(),
+                save_energy(&[]),
             )
         }
         MissCause::WakeMissed => (
@@ -193,15 +293,15 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
                     "raise devices, so that more of them can be woken".to_owned(),
                 ]
             } else {
-                background = Some("The wake-up radios had no power.".to_owned());
-                owned([harvest_more(), vec!["lower energy.e_wur"]].concat())
+                background = Some(format!("The wake-up radios had no power. {}", balance()));
+                save_energy(&["lower energy.e_wur"])
             },
         ),
         MissCause::NoEnergy => {
-            background = Some(format!("{}.", balance(scenario)));
+            background = Some(balance());
             (
-                format!("detected by devices that could not pay energy.e_tx = {spent} for a report"),
-                owned([harvest_more(), vec!["lower energy.e_tx"], sense_less(policy)].concat()),
+                "detected by devices that could not pay energy.e_tx for a report".to_owned(),
+                save_energy(&["lower energy.e_tx"]),
             )
         }
         MissCause::Lost => (

@@ -176,13 +176,63 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
     }
     let empty = advice(Some((38.8, 0.0)));
     assert!(empty.finding.contains("39 % of device-TTIs"), "{empty}");
-    assert_eq!(empty.suggestions, ["raise harvest.lambda", "raise harvest.e_b"]);
+    let fields = empty.suggestions.iter().map(|text| text.split(" = ").next());
     assert!(
-        empty
-            .to_string()
-            .ends_with(". Raise harvest.lambda. Raise harvest.e_b."),
+        fields.eq([Some("raise harvest.lambda"), Some("raise harvest.e_b")]),
         "{empty}"
     );
+    assert!(empty.to_string().contains(". Raise harvest.lambda = 0.1: "), "{empty}");
     // A larger battery keeps what overflowed.
     assert_eq!(advice(Some((38.8, 0.1))).suggestions[2], "raise energy.e_max");
+}
+
+#[test]
+fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
+    // Eq. (5): λτ·exp(-λτ)·E_B = 0.1·exp(-0.1)·0.3 = 0.0271 units per TTI; a TTI in S4 costs 0.0714, in S1 1.
+    let missed_pct = |set: &[&str]| {
+        let all: Vec<&str> = [&["policy.name=age-index", "ttis=4000"], set].concat();
+        misses(&quick(&all)).0.missed_pct()
+    };
+    let starved = quick(&["policy.name=age-index", "harvest.e_b=0.3"]);
+    let advice = advice::advice(&starved, MissCause::Unpowered, (3, 7), Point::new(1.0, 2.0), None);
+    assert!(advice.finding.contains("does not pay for sleeping"), "{advice}");
+    assert!(
+        advice.suggestions.iter().all(|text| !text.contains("policy")),
+        "no policy helps: {advice}"
+    );
+    let values = |change: &str| {
+        let text = advice.suggestions.iter().find(|text| text.starts_with(change));
+        let text = text.unwrap_or_else(|| panic!("{change}: {advice}"));
+        let words = text.split_once(": ").expect("amounts").1.split(", ");
+        let numbers = words.map(|word| {
+            word.split(' ')
+                .next()
+                .expect("a number")
+                .parse::<f64>()
+                .expect("a number")
+        });
+        numbers.collect::<Vec<_>>()
+    };
+    let e_b = values("raise harvest.e_b");
+    let arrival = 0.1 * f64::exp(-0.1);
+    for (value, cost) in e_b
+        .iter()
+        .zip([starved.classes[0].energy.e_wur, starved.classes[0].energy.e_idle])
+    {
+        assert!((value * arrival / cost.units() - 1.0).abs() < 0.01, "{advice}");
+    }
+    // 0.3·exp(-1) = 0.11 units per TTI are the most under Eq. (5): enough for sleeping, not for sensing.
+    let [lambda] = values("raise harvest.lambda")[..] else {
+        panic!("{advice}")
+    };
+    let paid = lambda * f64::exp(-lambda) * 0.3 / starved.classes[0].energy.e_wur.units();
+    assert!((paid - 1.0).abs() < 0.01, "{advice}");
+    let (before, after) = (
+        missed_pct(&["harvest.e_b=0.3"]),
+        missed_pct(&[&format!("harvest.e_b={}", e_b[1])]),
+    );
+    assert!(
+        before > 50.0 && after < before / 4.0,
+        "{before} % before, {after} % after"
+    );
 }
