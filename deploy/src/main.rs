@@ -8,6 +8,7 @@
     reason = "`eprintln!` panics when standard error is closed; `note!` does not"
 )]
 
+mod action_text;
 mod audit;
 mod bench;
 mod child_process;

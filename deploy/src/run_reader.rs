@@ -9,12 +9,14 @@ use anyhow::{Context, bail};
 use reveille_bs::scenario::{Scenario, load_with_external};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::OperatorAction;
 use reveille_common::totals::MissCause;
 use reveille_study::misses::{MissedEvent, Misses, RunEnergy};
 use serde_json::Value;
 
 use crate::display::note;
 use crate::folder_lock::{FolderStatus, status};
+use crate::input_log;
 use crate::run_folder::{DEVICES_FILE, EVENTS_FILE, SCENARIO_FILE, SUMMARY_FILE, failure};
 
 /// The folder of a run.
@@ -92,6 +94,14 @@ impl RunReader {
     /// The path as given.
     pub(crate) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Reads the actions of operators and scripts, in the order in which they take effect.
+    ///
+    /// # Errors
+    /// If the input log cannot be read, or belongs to another scenario.
+    pub(crate) fn actions(&self) -> anyhow::Result<Vec<OperatorAction>> {
+        Ok(input_log::read_folder(&self.path, &self.scenario)?.actions)
     }
 
     /// Reads the table `name`; `None` if the run has not written it.

@@ -18,8 +18,9 @@ use reveille_common::score::Metrics;
 use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
+use crate::action_text::{describe_actions, name_actions};
 use crate::cli::CompareArgs;
-use crate::display::{WIDTH, count_noun, print_stdout, wrap_indented, wrap_text};
+use crate::display::{WIDTH, print_stdout, wrap_indented, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::{MAIN_METRICS, format_number};
 use run::{ComparedRun, Difference};
@@ -27,8 +28,6 @@ use run::{ComparedRun, Difference};
 /// Width of the names of metrics, and of the cell of a run, in columns.
 const NAME_WIDTH: usize = 27;
 const CELL_WIDTH: usize = 17;
-/// Most actions of a run that are named.
-const MAX_NAMED_ACTIONS: usize = 3;
 /// Most runs in a table; more runs make further tables.
 const MAX_COLUMNS: usize = 3;
 
@@ -112,7 +111,7 @@ fn json_report(runs: &[ComparedRun], fields: &BTreeMap<String, Vec<String>>, dif
             "digest": run.digest(),
             "status": summary["status"],
             "actions": run.actions().len(),
-            "first_actions": named_actions(run),
+            "first_actions": name_actions(run.actions()),
             "metrics": summary["metrics"],
             "half_widths": half_widths.collect::<BTreeMap<_, _>>(),
         })
@@ -138,11 +137,7 @@ fn text_report(
             .map_or("no digest", |digest| digest.get(..8).unwrap_or(digest));
         let line = format!("run {number}: {}  ({}digest {digest})", run.name(), run.state());
         text += &(wrap_text(&line, WIDTH) + "\n");
-        let actions = run.actions().len();
-        if actions > 0 {
-            let more = if actions > MAX_NAMED_ACTIONS { ", …" } else { "" };
-            let named = named_actions(run).join(", ");
-            let line = format!("{}: {named}{more}", count_noun(actions, "action"));
+        if let Some(line) = describe_actions(run.actions()) {
             text += &(wrap_indented(&line, WIDTH, 2) + "\n");
         }
     }
@@ -177,14 +172,6 @@ fn text_report(
     text
 }
 
-/// Describes the first actions of a run.
-fn named_actions(run: &ComparedRun) -> Vec<String> {
-    let named = run.actions().iter().take(MAX_NAMED_ACTIONS);
-    named
-        .map(|action| format!("TTI {} {}", action.tti, action.change))
-        .collect()
-}
-
 /// Formats the metrics of the first run and of `others`, whose first has the number `number`. A second line shows the
 /// difference from the first run.
 fn format_metrics(all: bool, first: &ComparedRun, (number, others): (usize, &[ComparedRun])) -> String {
@@ -215,7 +202,8 @@ fn format_metrics(all: bool, first: &ComparedRun, (number, others): (usize, &[Co
 fn value_cell(run: &ComparedRun, metric: &str) -> String {
     let value = format_number(run.metric(metric));
     match run.half_width(metric) {
-        Some(half_width) if half_width > 0.0 => format!("{value} ±{}", short(half_width)),
+        // More than two significant digits of the uncertainty would fill the cell.
+        Some(half_width) if half_width > 0.0 => format!("{value} ±{:.*}", decimals_for(half_width, 2), half_width),
         _ => value,
     }
 }

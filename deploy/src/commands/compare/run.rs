@@ -10,7 +10,6 @@ use serde_json::Value;
 
 use super::messages;
 use crate::commands::inspect::source::{RecordingFile, open};
-use crate::input_log;
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
@@ -89,7 +88,7 @@ impl ComparedRun {
             scenario_text: std::fs::read_to_string(&scenario_file)
                 .with_context(|| scenario_file.display().to_string())?,
             windows: read_windows(&reader)?,
-            actions: input_log::read_folder(path, &reader.scenario)?.actions,
+            actions: reader.actions()?,
             source: Source::Folder(Box::new(reader)),
             summary,
         })

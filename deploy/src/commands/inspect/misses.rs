@@ -6,10 +6,12 @@ use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use reveille_common::ids::DeviceId;
+use reveille_common::message::OperatorAction;
 use reveille_common::totals::MissCause;
 use reveille_study::misses::{Advice, InvolvedDevice, MissMap, Misses, cause_name};
 use serde_json::{Value, json};
 
+use crate::action_text::{describe_actions, name_actions};
 use crate::cli::MissesArgs;
 use crate::display::{WIDTH, print_stdout, wrap_text};
 use crate::exit::ExitReason;
@@ -30,15 +32,16 @@ const DEVICE_COLUMNS: [&str; 5] = [
 pub(super) fn run(args: &MissesArgs) -> anyhow::Result<ExitCode> {
     let run = RunReader::open(&args.run)?;
     let misses = run.misses()?;
+    let actions = run.actions()?;
     let devices = run.devices()?;
     let by_device = devices
         .as_ref()
         .map_or_else(|| Ok(BTreeMap::new()), |table| table.by_device())?;
     let involved: Vec<InvolvedDevice> = misses.devices().into_iter().take(args.devices).collect();
     let output = if args.json {
-        json_report(&run, &misses, &involved, &by_device)?.to_string() + "\n"
+        json_report(&run, &misses, &actions, &involved, &by_device)?.to_string() + "\n"
     } else {
-        text_report(&run, &misses, &involved, &by_device)
+        text_report(&run, &misses, &actions, &involved, &by_device)
     };
     print_stdout(&output)?;
     Ok(ExitReason::Done.into())
@@ -47,6 +50,7 @@ pub(super) fn run(args: &MissesArgs) -> anyhow::Result<ExitCode> {
 fn json_report(
     run: &RunReader,
     misses: &Misses,
+    actions: &[OperatorAction],
     involved: &[InvolvedDevice],
     by_device: &BTreeMap<DeviceId, Row<'_>>,
 ) -> anyhow::Result<Value> {
@@ -88,6 +92,9 @@ fn json_report(
         "missed": misses.missed.len(),
         "missed_pct": misses.missed_pct(),
         "missed_in_warm_up": misses.in_warm_up,
+        "actions": actions.len(),
+        "first_actions": name_actions(actions),
+        "missed_after_first_action": missed_after_first(actions, misses),
         "causes": by_cause.collect::<BTreeMap<_, _>>(),
         "map": { "cell_m": map.cell_m, "missed": map.missed, "devices": map.devices },
         "devices": involved.iter().map(device).collect::<anyhow::Result<Vec<_>>>()?,
@@ -100,6 +107,7 @@ fn json_report(
 fn text_report(
     run: &RunReader,
     misses: &Misses,
+    actions: &[OperatorAction],
     involved: &[InvolvedDevice],
     by_device: &BTreeMap<DeviceId, Row<'_>>,
 ) -> String {
@@ -126,6 +134,10 @@ fn text_report(
         "{missed} of {events} events missed ({:.2} %){warm_up}",
         misses.missed_pct()
     );
+    if let (Some(actions), Some(after)) = (describe_actions(actions), missed_after_first(actions, misses)) {
+        let line = format!("{actions}; {after} of the missed events started after the first action");
+        text += &(wrap_text(&line, WIDTH) + "\n");
+    }
     let Some(advice) = misses.advice() else {
         return text;
     };
@@ -136,6 +148,12 @@ fn text_report(
     let devices = format_devices(involved, by_device);
     let _infallible = write!(text, "\nNearest devices of missed events\n{devices}");
     text + "\n" + &format_advice(&advice)
+}
+
+/// Counts the missed events that started in the TTI of the first action or later; `None` without actions.
+fn missed_after_first(actions: &[OperatorAction], misses: &Misses) -> Option<usize> {
+    let first = actions.first()?.tti;
+    Some(misses.missed.iter().filter(|event| event.start >= first).count())
 }
 
 /// Formats a cause of `count` of the `missed` events.
