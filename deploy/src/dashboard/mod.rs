@@ -1,8 +1,9 @@
 //! The dashboard: a live or recorded run in the browser.
 //!
 //! It is a single page that loads nothing from other sites (`page/`), an HTTP interface (`api`), and a copy of the run
-//! (`feed`). On a loopback address reading needs no token. Changes need one, and so does every request if other
-//! machines can connect.
+//! (`feed`). The page itself needs no token. On a loopback address reading the run needs none either. Changes need one,
+//! and so does every request under `/api/` if other machines can connect (`api::check_request`). `page/*.js` and
+//! `tests/browser/check.py` use the routes.
 
 mod api;
 mod commands;
@@ -15,13 +16,12 @@ mod timeline;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use anyhow::Context;
 use axum::Router;
 use axum::http::{HeaderName, header};
 use axum::middleware;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
-use reveille_common::bus::Bus;
+use reveille_common::bus::{Bus, draw_secret};
 use tokio::net::TcpListener;
 
 use self::api::{ApiState, check_request};
@@ -45,13 +45,15 @@ pub(crate) struct Dashboard {
 /// # Errors
 /// If it cannot listen there.
 pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
-    let named = |error| listen_error("--dashboard", address, &error);
-    let listener = TcpListener::bind(address).await.map_err(named)?;
-    let local_address: SocketAddr = listener.local_addr().map_err(named)?;
-    let token = draw_token().context("cannot generate a token")?;
+    let to_listen_error = |error| listen_error("--dashboard", address, &error);
+    let listener = TcpListener::bind(address).await.map_err(to_listen_error)?;
+    let local_address: SocketAddr = listener.local_addr().map_err(to_listen_error)?;
+    let token = draw_secret()?.to_string();
     // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{local_address}/#{token}");
     let state = ApiState::new(feed, bus, token, local_address);
+    // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows the
+    // run belongs under `/api/`, and one that changes it is a POST.
     let mut router = Router::new()
         .route("/api/run", get(api::about))
         .route("/api/now", get(api::now))
@@ -95,12 +97,4 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         }
     });
     Ok(Dashboard { url })
-}
-
-/// Draws a random token.
-fn draw_token() -> std::io::Result<String> {
-    use std::io::Read;
-    let mut bytes = [0; 16];
-    std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    Ok(reveille_view::frame_line::to_hex(&bytes))
 }

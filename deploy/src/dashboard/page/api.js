@@ -1,10 +1,14 @@
 // Requests from the page to the program.
 
 const token = location.hash.slice(1);
+// The address of another run on the same port differs only in its token, which alone would not load the page again.
+addEventListener("hashchange", () => location.reload());
 const headers = token ? { "x-reveille-token": token } : {};
 
 async function request(path, method) {
-  const answer = await fetch(path, { headers, method });
+  const answer = await fetch(path, { headers, method }).catch(() => {
+    throw new Error("the program that served this page has ended; record runs with --record to look back later");
+  });
   if (answer.ok) return answer;
   const isJson = answer.headers.get("content-type")?.startsWith("application/json");
   const reason = isJson ? (await answer.json()).error : await answer.text();

@@ -93,6 +93,8 @@ function receiveLive(now) {
   if (isCalm && !now.over && performance.now() < receivedAt + CALM_INTERVAL) return;
   receivedAt = performance.now();
   receive(now);
+  // The program ends soon after the run, so the curves and the device are read a last time at once.
+  if (now.over) refreshOften();
 }
 
 // One request at a time, since updates can come faster than answers.
