@@ -95,6 +95,8 @@ impl Interrupted {
     pub(crate) const WITHOUT_RESULTS: Self = Self(Cow::Borrowed("interrupted"));
     /// The error of a run that has not begun.
     pub(crate) const BEFORE_RUN: Self = Self(Cow::Borrowed("interrupted before the first TTI"));
+    /// The error of a resumed run whose replay has not ended.
+    pub(crate) const DURING_REPLAY: Self = Self(Cow::Borrowed("interrupted during the replay; resume the run again"));
 }
 
 impl fmt::Display for Interrupted {

@@ -24,7 +24,7 @@ use reveille_lab::run::StopWhen;
 use reveille_view::metrics::ProcessStats;
 
 use super::inspect::source::device_groups;
-use super::resolve_scenario::resolve_run;
+use super::resolve_scenario::resolve_started_run;
 use super::resume::{self, ResumePlan};
 use super::{print_results, window_length};
 use crate::audit::{self, Auditor, device_owner_clause};
@@ -54,7 +54,7 @@ const OBSERVER_DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Serves a run to device processes started separately.
 pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
-    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     check_watchers(&args.output, &args.drive)?;
     let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
@@ -290,23 +290,24 @@ async fn run_over_bus(
         inputs,
         log,
         mark,
-        from,
+        window,
+        resume_tti,
     } = match &output.resume {
         // A replay can be long; `block_in_place` keeps the other tasks of the runtime going.
         Some(_) => tokio::task::block_in_place(|| ResumePlan::from_folder(folder, prepared, log, progress))?,
         None => ResumePlan::new(&service.inputs, log)?,
     };
     // A resumed run keeps the window of its first part, so that windows.csv gets the same rows.
-    let window = mark.as_ref().map_or(settings.window_ttis, |mark| mark.window);
+    let window = window.unwrap_or(settings.window_ttis);
     let settings = ServerConfig {
         window_ttis: window,
         ..*settings
     };
     let mut mark_writer = ResumeMarkWriter::new(folder, scenario, window, mark);
-    let (session, resumption) = if let Some(from) = from {
+    let (session, resumption) = if let Some(tti) = resume_tti {
         let (session, devices) = tokio::task::block_in_place(|| {
             let mut observers = (&mut *observer, &mut mark_writer);
-            resume::replay(prepared, &inputs, from, window, progress, &mut observers)
+            resume::replay(prepared, &inputs, tti, window, progress, &mut observers)
         })?;
         (session, Some(devices))
     } else {
@@ -323,7 +324,7 @@ async fn run_over_bus(
     // Before any grant: a run that does not reproduce its mark must not continue.
     mark_writer.check()?;
     let start = audit::AuditStart {
-        from: from.unwrap_or_default(),
+        from: resume_tti.unwrap_or_default(),
         inputs: &inputs,
         log,
     };

@@ -28,10 +28,12 @@ pub(super) struct ResumePlan {
     pub inputs: ExternalInputs,
     /// The log for later inputs.
     pub log: InputLog,
-    /// The resume mark that the replay must reproduce.
+    /// The resume mark that the replay must reproduce. The mark writer, an observer of the replay, compares it.
     pub mark: Option<ResumeMark>,
+    /// Window length of the resumed run, TTIs; `None` for a new run, or without a mark.
+    pub window: Option<u64>,
     /// The TTI up to which the run is replayed in memory; `None` for a new run.
-    pub from: Option<Tti>,
+    pub resume_tti: Option<Tti>,
 }
 
 impl ResumePlan {
@@ -45,7 +47,8 @@ impl ResumePlan {
             inputs: inputs.clone(),
             log,
             mark: None,
-            from: None,
+            window: None,
+            resume_tti: None,
         })
     }
 
@@ -62,10 +65,12 @@ impl ResumePlan {
         let scenario = &prepared.scenario;
         let mut mark = resume_mark::read(folder, scenario)?;
         let mut inputs = input_log::read_folder(folder, scenario)?;
-        // A removal in the log can be later than the last mark; the run then reached at least the TTI after it.
+        let window = mark.as_ref().map(|mark| mark.window);
+        // The last removal, since the log is in order of TTIs. It can be later than the mark; the run then reached at
+        // least the TTI after it.
         let after_last_removal = inputs.removals.last().map(|removal| removal.tti + 1);
-        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_removal);
-        if let Some(to) = from
+        let mut resume_tti = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_removal);
+        if let Some(to) = resume_tti
             && outside::is_external(&scenario.policy)
             && let Some(tti) = first_undecided(prepared, &inputs, to, progress)?
         {
@@ -75,13 +80,14 @@ impl ResumePlan {
             log.replace(&inputs)?;
             // From here on the run may decide differently, and then never reproduces a later mark.
             mark = mark.filter(|mark| Tti(mark.tti) <= tti);
-            from = Some(tti);
+            resume_tti = Some(tti);
         }
         Ok(Self {
             inputs,
             log,
             mark,
-            from,
+            window,
+            resume_tti,
         })
     }
 }
@@ -100,20 +106,20 @@ fn first_undecided(
     Ok(run.missing_decision())
 }
 
-/// Advances `run` to TTI `to`, or to the first missing decision.
-fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<()> {
+/// Advances `run` to TTI `to`. Returns false if it ends earlier, because a decision is missing or `observer` ends it.
+fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<bool> {
     let is_stopped = || progress.is_stop_requested();
     let has_reached = advance(run, to, observer, |next| {
         progress.next_tti.store(next.0, Ordering::Relaxed);
         !is_stopped()
     });
-    // Without a stop the run lacks a decision, which the callers look for.
-    ensure!(has_reached || !is_stopped(), Interrupted::BEFORE_RUN);
-    Ok(())
+    ensure!(has_reached || !is_stopped(), Interrupted::DURING_REPLAY);
+    Ok(has_reached)
 }
 
-/// Replays a run up to TTI `to` in memory. Returns it with its devices; later decisions and actions stay
-/// queued.
+/// Replays a run up to TTI `to` in memory, with the `window` of its first part. Returns it with its devices; later
+/// decisions and actions stay queued. If `observer` ends the replay, the run returned has diverged from its mark, and
+/// must not continue.
 pub(super) fn replay(
     prepared: &PreparedRun,
     inputs: &ExternalInputs,
@@ -129,8 +135,9 @@ pub(super) fn replay(
     };
     let mut run = Run::new(prepared, options);
     run.schedule_inputs(inputs);
-    advance_to(&mut run, to, progress, observer)?;
+    let has_reached = advance_to(&mut run, to, progress, observer)?;
     // `to` lies after the last logged removal, so all of them must have taken effect.
-    ensure!(run.input_queue().removal_count() == 0, input_log::MISMATCH);
+    let has_removed_all = run.input_queue().removal_count() == 0;
+    ensure!(has_removed_all || !has_reached, input_log::MISMATCH);
     Ok(run.into_resumed())
 }
