@@ -1,7 +1,8 @@
 //! Hostile peers: garbage and forged messages of a host that was admitted and knows the run's secret, and requests of
-//! another version or without the run's key. The base station refuses or counts the messages, and the digest equals the
-//! digest of `reveille run`.
-//! `tests/untrusted_clients/` tests clients without the secret.
+//! another version or without the run's key. The digest equals the digest of `reveille run`. The base station counts
+//! forged messages to it because of their credential, before it reads their values (`bs/src/server/roster.rs` tests
+//! those); the access rules of `common/src/bus/access.rs` stop forged messages to hosts. `tests/untrusted_clients/` tests
+//! clients without the secret.
 
 use std::time::Duration;
 
@@ -63,7 +64,7 @@ async fn start_run_with_revoked_host(
     let pace = "--pace 3ms --paused --out out";
     let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
     bs.wait_for_stderr("waiting for 30 devices");
-    let (bus, pass) = revoked_host(&endpoint, run).await;
+    let (bus, credential) = revoked_host(&endpoint, run).await;
     bs.wait_for_stderr("left before the run began");
     let hosts = [15, 15].map(|count| {
         let host = folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
@@ -71,7 +72,7 @@ async fn start_run_with_revoked_host(
         host
     });
     folder.wait_for_tti(run, 0);
-    (bs, hosts, bus, pass)
+    (bs, hosts, bus, credential)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
@@ -129,7 +130,7 @@ fn invalid_payloads() -> Vec<Vec<u8>> {
 async fn invalid_payloads_on_every_key_change_nothing() {
     let (folder, run) = (TestFolder::new(), unique_run("invalid"));
     let expected = folder.summary("run -n 30 -k 1200");
-    let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 1200).await;
+    let (bs, hosts, bus, credential) = start_run_with_revoked_host(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
     let keys = bus.key_exprs();
     let mut all_keys: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
@@ -137,7 +138,7 @@ async fn invalid_payloads_on_every_key_change_nothing() {
     for j in [0, 7, 29, 30, u32::MAX] {
         let credential = HostCredential {
             host: HostId(j),
-            ..pass
+            ..credential
         };
         all_keys.push(keys.wake(HostId(1), DeviceId(j)));
         all_keys.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, credential)));
@@ -210,7 +211,7 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
 }
 
 /// Returns messages that decode but that no host would send or receive in TTI `tti`, each with its key.
-fn forged_messages(keys: &KeyExprs, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
+fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
     let overlong_cycle = DutyCycle {
         t_on: u32::MAX,
         t_drx: u32::MAX,
@@ -261,7 +262,7 @@ fn forged_messages(keys: &KeyExprs, pass: HostCredential, tti: u64) -> Vec<(Stri
     }
     let with_host = |host| HostCredential {
         host: HostId(host),
-        ..pass
+        ..credential
     };
     for (host, report) in [
         (1, report(9999, 0.5)),
@@ -294,10 +295,10 @@ fn forged_messages(keys: &KeyExprs, pass: HostCredential, tti: u64) -> Vec<(Stri
 async fn forged_messages_change_nothing() {
     let (folder, run) = (TestFolder::new(), unique_run("forged"));
     let expected = folder.summary("run -n 30 -k 600");
-    let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 600).await;
+    let (bs, hosts, bus, credential) = start_run_with_revoked_host(&folder, &run, 600).await;
     folder.clock(&run, "resume");
     for tti in 0..600 {
-        for (key, payload) in forged_messages(bus.key_exprs(), pass, tti) {
+        for (key, payload) in forged_messages(bus.key_exprs(), credential, tti) {
             bus.put_raw(&key, payload).expect("sent");
         }
         // Close to the pace of 3 ms, so that the forged messages stay near the open TTI.

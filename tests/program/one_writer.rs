@@ -166,7 +166,6 @@ fn a_killed_run_keeps_complete_rows_up_to_its_last_seconds() {
     folder.wait_for_tti(&run, 10);
     let started = now();
     let reached = folder.wait_for_tti(&run, 400);
-    // Rows are flushed once a second, and the machine may be busy.
     let row_count = |name: &str| {
         let text = String::from_utf8(folder.bytes(&format!("out/{name}"))).expect("text");
         assert!(text.ends_with('\n'), "incomplete row: {text}");
@@ -174,6 +173,7 @@ fn a_killed_run_keeps_complete_rows_up_to_its_last_seconds() {
         assert!(text.lines().all(|line| line.split(',').count() == columns), "{text}");
         text.lines().count() - 1
     };
+    // Rows are flushed once a second, and the machine may be busy.
     wait_until("the rows to be written during the run", PATIENCE, || {
         (row_count("windows.csv") as u64 >= reached / 10).then_some(())
     });

@@ -2,12 +2,15 @@
 //! deleted, so a [`HostId`] belongs to one process for the whole run.
 //!
 //! ```text
-//!              joins                ready, and its token exists
-//!   no entry ───────► joined ──────────────────────────────────────► active
-//!                       │ late, or its token disappears                │ its token disappears
-//!                       ▼                                              ▼
-//!                    revoked ◄──────────────────────────────────────  lost (see `failover`)
+//!              joins            ready and alive              alive again
+//!   no entry ───────► joined ─────────────────────► active ◄─────────────────┐
+//!                       │ late, or not alive any more  │ not alive any more,  │
+//!                       ▼                              ▼ or unresponsive      │
+//!                    revoked ◄────────────────────── lost (in `failover`) ────┘
 //! ```
+//!
+//! A host is alive while its liveliness token exists on the bus. An unresponsive host stays active here.
+//! `tests/fuzz/fuzz_targets/hosts.rs` checks the order of these calls.
 
 use std::time::{Duration, Instant};
 
@@ -37,7 +40,7 @@ impl Assignment {
 pub struct JoiningHost {
     /// Its random number. A repeated request with the same number gets the same assignment.
     pub nonce: u64,
-    /// The token that it receives.
+    /// The secret token that it receives. It proves later messages, and has nothing to do with its liveliness token.
     pub token: Secret,
     /// Its name, for logs.
     pub name: String,
@@ -49,7 +52,7 @@ pub struct JoiningHost {
 
 #[derive(Clone, Debug)]
 struct HostEntry {
-    newcomer: JoiningHost,
+    request: JoiningHost,
     assignment: Assignment,
     /// Whether it has made all its subscriptions.
     is_ready: bool,
@@ -90,34 +93,34 @@ impl Admission {
 
     /// The assignment and token of the host that drew `nonce`, if it has joined before.
     pub fn find_by_nonce(&self, nonce: u64) -> Option<(Assignment, Secret)> {
-        let entry = self.hosts.iter().find(|e| e.newcomer.nonce == nonce && !e.is_revoked)?;
-        Some((entry.assignment, entry.newcomer.token))
+        let entry = self.hosts.iter().find(|e| e.request.nonce == nonce && !e.is_revoked)?;
+        Some((entry.assignment, entry.request.token))
     }
 
-    /// Assigns free devices to `newcomer`, at most as many as it offers to run; `None` if no device is free.
-    pub fn admit(&mut self, newcomer: JoiningHost) -> Option<Assignment> {
+    /// Assigns free devices to `request`, at most as many as it offers to run; `None` if no device is free.
+    pub fn admit(&mut self, request: JoiningHost) -> Option<Assignment> {
         let (first, available) = self.free_ranges.pop()?;
         // The count comes from another process and may be 0. A host has at least one device, as `Assignment::last`
         // requires.
-        let count = newcomer.count.clamp(1, available);
+        let count = request.count.clamp(1, available);
         if count < available {
             self.free_ranges.push((first + count, available - count));
         }
-        Some(self.add_host(newcomer, DeviceId(first), count))
+        Some(self.add_host(request, DeviceId(first), count))
     }
 
-    /// Assigns the devices of a lost host to `newcomer`.
-    pub fn take_over(&mut self, newcomer: JoiningHost, lost: Assignment) -> Assignment {
-        self.add_host(newcomer, lost.first, lost.count)
+    /// Assigns the devices of a lost host to `request`.
+    pub fn take_over(&mut self, request: JoiningHost, lost: Assignment) -> Assignment {
+        self.add_host(request, lost.first, lost.count)
     }
 
-    fn add_host(&mut self, newcomer: JoiningHost, first: DeviceId, count: u32) -> Assignment {
+    fn add_host(&mut self, request: JoiningHost, first: DeviceId, count: u32) -> Assignment {
         // Entries are never removed, so a number means one process for the whole run and its late messages are
         // recognised.
         let host = HostId(self.hosts.len() as u32);
         let assignment = Assignment { host, first, count };
         self.hosts.push(HostEntry {
-            newcomer,
+            request,
             assignment,
             is_ready: false,
             is_alive: false,
@@ -130,7 +133,7 @@ impl Admission {
     pub fn is_valid(&self, credential: HostCredential) -> bool {
         let entry = self.hosts.get(credential.host.index());
         // The token proves that the message is from this host; its number alone could be guessed.
-        entry.is_some_and(|entry| entry.newcomer.token == credential.token && !entry.is_revoked)
+        entry.is_some_and(|entry| entry.request.token == credential.token && !entry.is_revoked)
     }
 
     /// Marks the host of `credential` as ready. Returns whether the credential is valid.
@@ -144,10 +147,12 @@ impl Admission {
 
     /// Records whether the liveliness token of a host exists.
     pub fn set_alive(&mut self, host: HostId, is_alive: bool) {
-        self.hosts[host.index()].is_alive = is_alive;
+        if let Some(entry) = self.hosts.get_mut(host.index()) {
+            entry.is_alive = is_alive;
+        }
     }
 
-    /// Whether the host runs its devices: it is ready, and its token exists.
+    /// Whether the host runs its devices: it is ready and alive, and not revoked.
     pub fn is_active(&self, host: HostId) -> bool {
         self.hosts.get(host.index()).is_some_and(HostEntry::is_active)
     }
@@ -156,7 +161,7 @@ impl Admission {
     pub fn overdue_hosts(&self, now: Instant, patience: Duration) -> Vec<HostId> {
         let is_late = |entry: &&HostEntry| {
             let is_open = !entry.is_ready && !entry.is_revoked;
-            is_open && now.saturating_duration_since(entry.newcomer.requested_at) > patience
+            is_open && now.saturating_duration_since(entry.request.requested_at) > patience
         };
         self.hosts
             .iter()
@@ -187,7 +192,7 @@ impl Admission {
 
     /// The name of `host`.
     pub fn host_name(&self, host: HostId) -> &str {
-        self.hosts.get(host.index()).map_or("", |entry| &entry.newcomer.name)
+        self.hosts.get(host.index()).map_or("", |entry| &entry.request.name)
     }
 
     /// Number of devices that are assigned to a host.

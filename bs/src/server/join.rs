@@ -30,12 +30,12 @@ pub(super) struct JoinHandler {
     pub(super) shared: Arc<SharedState>,
     pub(super) scenario: Scenario,
     pub(super) deployment: Deployment,
-    /// Secret with which the bus keys of admitted hosts begin.
+    /// Secret with which the key expressions of admitted hosts begin.
     pub(super) bus_secret: Secret,
     /// The key that a host must show to join, if any.
     pub(super) required_key: Option<Secret>,
     /// The devices of a resumed run.
-    pub(super) checkpoint: Option<Arc<HostCheckpoint>>,
+    pub(super) resumed_devices: Option<Arc<HostCheckpoint>>,
 }
 
 impl JoinHandler {
@@ -82,7 +82,7 @@ impl JoinHandler {
         let token = newcomer.token;
         let devices = self.scenario.run.devices;
         if state.is_running {
-            // Without `OnLoss::Wait` a lost host's devices are removed or end the run, so none become free again.
+            // Without `OnLoss::Wait` the loss of a host removes its devices or ends the run, so none become free again.
             if state.on_loss != OnLoss::Wait {
                 return Err(JoinReply::Refused("the run has begun".to_owned()));
             }
@@ -124,7 +124,7 @@ impl JoinHandler {
         };
         let (first, count) = (assignment.first.0, assignment.count);
         let from_resumed_run = || {
-            self.checkpoint
+            self.resumed_devices
                 .as_ref()
                 .map(|checkpoint| checkpoint.slice(assignment.first.index(), assignment.count as usize))
         };
@@ -137,14 +137,18 @@ impl JoinHandler {
 
 /// Builds the reply for a host that offers to run `count` devices while no devices are available for it.
 fn retry_reply(state: &ServerState, count: u32) -> JoinReply {
-    let lost: Vec<String> = state
+    let lost: Vec<u32> = state
         .lost_hosts
         .assignments()
-        .map(|assignment| assignment.count.to_string())
+        .map(|assignment| assignment.count)
         .collect();
     JoinReply::Retry(if lost.is_empty() {
         format!("all {} devices of the run have a host", state.admission.devices())
+    } else if lost.iter().any(|lost| *lost <= count) {
+        "the devices of a lost host are not ready for this process: their replay runs, or another process takes them over"
+            .to_owned()
     } else {
+        let lost: Vec<String> = lost.iter().map(u32::to_string).collect();
         format!(
             "lost hosts left {} devices, and each of these ranges needs one host; this process offers to run {count}",
             lost.join(" + ")
@@ -153,7 +157,7 @@ fn retry_reply(state: &ServerState, count: u32) -> JoinReply {
 }
 
 impl ServerState {
-    /// Marks `host` as lost, or cancels the takeover that it has not completed.
+    /// Marks `host` as lost. If it was to take over the devices of a lost host, cancels this takeover instead.
     pub(super) fn mark_lost(&mut self, host: HostId) {
         // If the new host of a takeover is lost before it runs the devices, another host can take them over.
         if self.lost_hosts.reservation_of(host).is_some() {
@@ -184,7 +188,8 @@ impl ServerState {
 
     /// Completes the takeover of a lost host by `host`, if one is pending and `host` is ready and alive.
     pub(super) fn try_complete_takeover(&mut self, host: HostId) {
-        // The token and the ready message arrive in either order, so both callers try and the second one succeeds.
+        // The liveliness token and the ready message arrive in either order: both of their handlers call this, and the
+        // second call succeeds.
         if !self.admission.is_active(host) {
             return;
         }

@@ -84,7 +84,7 @@ pub(super) fn declare(
         deployment: deployment.clone(),
         bus_secret,
         required_key: settings.run_key.filter(|_| settings.join_needs_key),
-        checkpoint,
+        resumed_devices: checkpoint,
     };
     guards.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.handle_request(&request, shown)))?);
     // Declared last, so that no process finds the base station alive before its queryables exist.

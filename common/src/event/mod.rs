@@ -57,7 +57,7 @@ pub struct ActiveEvent {
     pub last: Tti,
 }
 
-/// A scripted event.
+/// An event with a given start, for tests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScriptedEvent {
     /// Its first TTI, after the last TTI of the previous event.
@@ -120,7 +120,7 @@ impl EventProcess {
         })))
     }
 
-    /// Creates a process of the given events, in order, independent of reports.
+    /// Creates a process of the given events, in order. Reports end them early, but do not move their starts.
     pub fn scripted(events: Vec<ScriptedEvent>) -> Self {
         Self::from_source(EventSource::Script(events))
     }
@@ -149,7 +149,7 @@ impl EventProcess {
     /// Starts the event that is due at [`Self::next_start`].
     ///
     /// # Panics
-    /// While an event is active.
+    /// While an event is active, or if no scripted event is left.
     pub fn start(&mut self) -> ActiveEvent {
         assert!(self.active.is_none(), "one event at a time");
         let event = self.next_event;
@@ -179,7 +179,8 @@ impl EventProcess {
         self.schedule_next(last + 1);
     }
 
-    /// Changes α from TTI `from` on, before any event of that TTI has started. Scripted events stay as they are.
+    /// Changes α from TTI `from` on, before any event of that TTI has started. Scripted events stay as they are. The
+    /// process must have a constant α (`bs/src/actions.rs` refuses others): the next start is drawn again.
     pub fn set_alpha(&mut self, from: Tti, alpha: f64) {
         if let EventSource::Drawn(drawn) = &mut self.source {
             drawn.starts.set_alpha(from, alpha);
@@ -193,7 +194,7 @@ impl EventProcess {
         self.gap_start = earliest;
         let next = self.next_event;
         self.next_start = match &mut self.source {
-            // The gap has a stream keyed by the event, so it is the same whenever the event before it ended.
+            // The gap has a stream keyed by the event, so its draw does not depend on the end of the previous event.
             EventSource::Drawn(drawn) => drawn.starts.draw_start(next, earliest),
             EventSource::Script(events) => events.get(next.0 as usize).map_or(Tti::NEVER, |event| event.start),
         };

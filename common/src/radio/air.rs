@@ -67,18 +67,18 @@ impl Air {
         self.radio.plan_loss > 0.0 || self.radio.bursts.is_some()
     }
 
-    /// Delivers a plan that is sent in TTI `from` to the `count` devices from `first` on. Calls `receive` with the
+    /// Delivers a plan that is sent in TTI `sent` to the `count` devices from `first` on. Calls `receive` with the
     /// position and the duty cycle of each device that receives it; the others keep their plan. Returns the number of
-    /// devices that miss it.
+    /// devices that miss it. `sent` must not decrease between calls, nor between calls of [`Self::losses_at`].
     pub fn deliver_plan(
         &mut self,
-        from: Tti,
+        sent: Tti,
         plan: &Plan,
         first: DeviceId,
         count: usize,
         mut receive: impl FnMut(usize, DutyCycle),
     ) -> u64 {
-        let losses = self.losses_at(from);
+        let losses = self.losses_at(sent);
         let mut missed = 0;
         // Each draw is keyed by device and TTI, so a host that delivers only to its own devices finds the same losses.
         for (j, device) in (first.0..).map(DeviceId).enumerate().take(count) {
@@ -110,8 +110,8 @@ impl AirLosses {
     }
 }
 
-/// The TTIs in which noise wakes a sleeping device with power. They do not depend on the device's state and are drawn
-/// as gaps: a TTI without one costs nothing.
+/// The TTIs in which noise wakes a device, if it sleeps with power. They are drawn in advance as gaps, whatever the
+/// state of the device: a TTI without a false wake-up costs nothing.
 #[derive(Clone, Debug)]
 pub struct FalseWakeUps {
     stream: Stream,

@@ -17,7 +17,7 @@ pub(crate) struct ReportArgs {
     /// Result tables of `reveille sweep`, or the folders of finished sweeps, for the presets paper and paper-literal.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// Folder for report.html and report.md; created if missing.
+    /// Folder for report.html, report.md and their figures; created if missing.
     #[arg(long, short, default_value = "report")]
     pub out: PathBuf,
     /// Also insert the tables into this page, such as docs/reproduction.md. Each table replaces the text between the

@@ -82,7 +82,7 @@ pub(crate) struct DtArgs {
     /// Initial learning rate.
     #[arg(long, default_value_t = 0.002, value_parser = parse_number, allow_negative_numbers = true)]
     pub rate: f64,
-    /// Stop after this many consecutive validations without improvement; a validation follows every 200 steps.
+    /// Stop after this many consecutive evaluations on held-out data without improvement; one follows every 200 steps.
     #[arg(long, default_value_t = 6, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
     pub patience: u64,
     /// Seed of every random draw.

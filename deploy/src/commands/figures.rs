@@ -24,7 +24,7 @@ use reveille_study::figures::{
 };
 
 use super::figure_files::{read_tables, write_file, write_picture};
-use super::resolve_scenario::{resolve, resolve_of_run};
+use super::resolve_scenario::{resolve_repeated_run, resolve_with_builtin_policy};
 use crate::cli::{
     AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, LearningArgs,
     MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, most_similar_name,
@@ -234,7 +234,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
+    let scenario = resolve_repeated_run(args.run.as_deref(), &args.scenario)?;
     let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
     let name = deployment::file_name(&scenario, &event_scene);
     write_picture(&args.pictures, &name, &deployment::scene(&scenario, &event_scene))?;
@@ -244,7 +244,7 @@ fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
 fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     let mut given = args.scenario.clone();
     given.policy.get_or_insert_with(|| "dt".to_owned());
-    let scenario = resolve(&given)?;
+    let scenario = resolve_with_builtin_policy(&given)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
@@ -263,7 +263,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     let scenario_of = |policy: &String| {
         let mut given = args.scenario.clone();
         given.policy = Some(policy.clone());
-        resolve(&given)
+        resolve_with_builtin_policy(&given)
     };
     // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
     let scenarios = policies.iter().map(scenario_of).collect::<anyhow::Result<Vec<_>>>()?;
@@ -283,7 +283,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
+    let scenario = resolve_repeated_run(args.run.as_deref(), &args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
     let timeline_data = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
     let name = timeline::file_name(&scenario, &timeline_data);

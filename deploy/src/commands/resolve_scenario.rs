@@ -16,14 +16,15 @@ use crate::run_folder::{self, SCENARIO_FILE};
 /// The prefix of `--policy` for decisions from a log. The help of `--policy` (`cli/parse.rs`) repeats it.
 pub(super) const REPLAY_PREFIX: &str = "replay=";
 
-/// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
-/// external inputs in the log of `--policy replay=FILE`, if given.
-pub(super) fn resolve_run(
+/// Returns the scenario of the run that `run`, `up` or `bs` starts, from the folder that it resumes in or from the
+/// command line; policy `external` is allowed. Also returns the external inputs in the log of `--policy replay=FILE`, if
+/// given.
+pub(super) fn resolve_started_run(
     args: &ScenarioArgs,
     output: &OutputArgs,
 ) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
     let Some(folder) = &output.resume else {
-        return resolve_new(args);
+        return resolve_new_run(args);
     };
     if args.is_given() {
         anyhow::bail!(
@@ -41,13 +42,13 @@ pub(super) fn resolve_run(
     Ok((load_with_external(&path.to_string_lossy(), &[])?.scenario, None))
 }
 
-fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
+fn resolve_new_run(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
     let given_path = args
         .policy
         .as_ref()
         .and_then(|policy| policy.strip_prefix(REPLAY_PREFIX));
     let Some(given_path) = given_path.map(Path::new) else {
-        return Ok((resolve_with_loader(args, load_with_external)?, None));
+        return Ok((resolve_options(args, load_with_external)?, None));
     };
     let log_path = find_replay_log(given_path)?;
     let mut args = ScenarioArgs {
@@ -62,7 +63,7 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<External
     }
     // Set after `is_given`, for which only the user's own options count.
     args.policy = Some(outside::EXTERNAL_NAME.to_owned());
-    let scenario = resolve_with_loader(&args, load_with_external)?;
+    let scenario = resolve_options(&args, load_with_external)?;
     let inputs = input_log::read_nonempty(&log_path, &scenario).map_err(|error| {
         let hint = match error.downcast_ref() {
             Some(InputLogError::Scenario) if has_options && log_folder_scenario.is_file() => {
@@ -106,11 +107,11 @@ fn find_replay_log(path: &Path) -> anyhow::Result<PathBuf> {
     ))
 }
 
-/// Returns the scenario of the run folder or scenario file `run`, changed by the other options. Without `run`, returns
-/// the command line's scenario. The policy must be one of this program.
-pub(super) fn resolve_of_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+/// Returns the scenario of the run folder or scenario file `run`, which a figure repeats, changed by the other options.
+/// Without `run`, returns the command line's scenario. The policy must be one of this program.
+pub(super) fn resolve_repeated_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let Some(run) = run else {
-        return resolve(args);
+        return resolve_with_builtin_policy(args);
     };
     let mut file = run.to_owned();
     if run.is_dir() {
@@ -127,17 +128,17 @@ pub(super) fn resolve_of_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow:
             );
         }
     }
-    resolve(&ScenarioArgs {
+    resolve_with_builtin_policy(&ScenarioArgs {
         scenario: file.to_string_lossy().into_owned(),
         ..args.clone()
     })
 }
 
 /// Returns the command line's scenario, with a policy of this program.
-pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
-    let resolved = resolve_with_loader(args, load);
+pub(super) fn resolve_with_builtin_policy(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    let resolved = resolve_options(args, load);
     // Loads the scenario again to find out whether the policy `external` is the only problem.
-    if resolved.is_err() && resolve_with_loader(args, load_with_external).is_ok() {
+    if resolved.is_err() && resolve_options(args, load_with_external).is_ok() {
         anyhow::bail!(
             "policy external: only `reveille up` and `reveille bs` can ask a policy process; choose a built-in policy \
              with --policy"
@@ -146,9 +147,9 @@ pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     resolved
 }
 
-fn resolve_with_loader(
+fn resolve_options(
     args: &ScenarioArgs,
-    load: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
+    loader: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
 ) -> anyhow::Result<Scenario> {
     if let Some(list) = args.policy.as_ref().filter(|policy| policy.contains(',')) {
         anyhow::bail!("--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`");
@@ -182,7 +183,7 @@ fn resolve_with_loader(
             overrides.push(Override::from_flag("--learn", &field, "true")?);
         }
     }
-    let Loaded { scenario, warnings } = load(&args.scenario, &overrides)?;
+    let Loaded { scenario, warnings } = loader(&args.scenario, &overrides)?;
     let name = scenario.policy.name();
     let learns = registry::named(name).is_some_and(|policy| policy.learns);
     if args.learn && !learns {

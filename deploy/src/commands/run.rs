@@ -20,7 +20,7 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions, StopWhen};
 use reveille_view::metrics::ProcessStats;
 
-use super::resolve_scenario::resolve_run;
+use super::resolve_scenario::resolve_started_run;
 use super::{print_results, window_length};
 use crate::child_process;
 use crate::cli::RunArgs;
@@ -42,7 +42,7 @@ const DOUBLE_COST_DEVICES: u64 = 20_000;
 /// Runs a scenario in memory.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
-    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     crate::run_watchers::check(&args.output)?;
     // Read before the folder is created: a log that does not match leaves no folder behind.
     let named_inputs = read_named_inputs(args, &scenario, recorded_inputs)?;

@@ -21,7 +21,7 @@ use reveille_lab::tuning::{
 use reveille_study::figures::{png, svg, tuning as picture};
 use serde_json::json;
 
-use super::resolve_scenario::resolve;
+use super::resolve_scenario::resolve_with_builtin_policy;
 use crate::cli::{ImageFormatArg, ObjectiveArg, TuneArgs};
 use crate::display::{self, note};
 use crate::signals::{SignalMode, Signals};
@@ -85,7 +85,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
 fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
     let ranges = Ranges::new(args.mu1, args.mu2)?;
     let plan = TuningPlan {
-        scenario: resolve(&args.scenario()?)?,
+        scenario: resolve_with_builtin_policy(&args.scenario()?)?,
         ranges,
         objective: match args.objective {
             ObjectiveArg::Balance => TuningObjective::Balance {

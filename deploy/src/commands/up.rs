@@ -12,7 +12,7 @@ use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostConfig, HostError};
 
 use super::bs::{Service, check_watchers, serve_run, server_settings};
-use super::resolve_scenario::resolve_run;
+use super::resolve_scenario::resolve_started_run;
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
@@ -32,7 +32,7 @@ const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
     let started = crate::runtime::now();
-    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     let devices = scenario.run.devices;
     let processes = args.processes.unwrap_or(DEFAULT_PROCESSES.min(devices));
     anyhow::ensure!(

@@ -75,7 +75,7 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
                 HostExit::Dismissed => return Ok(()),
                 HostExit::Replaced => {
                     tracing::warn!(
-                        "other processes run the devices of this process now; requesting another assignment"
+                        "this process lost its devices, to other processes or in a resumed run; requesting others"
                     );
                 }
             }

@@ -113,7 +113,7 @@ pub enum FigureError {
     NoEntry {
         /// Requested N.
         devices: u32,
-        /// Window, TTIs.
+        /// The window in TTIs, or the ages of places.
         window: Lookback,
         /// File name.
         file: String,

@@ -11,8 +11,9 @@ impl RunCondition {
         for (path, value) in self.all_changes() {
             label = format!("{label}-{path}-{value}");
         }
-        if let Some((_, table)) = self.table_changes().next() {
-            let table = std::path::Path::new(&table);
+        let action_table = self.actions.as_ref().map(|actions| &actions.table);
+        if let Some(table) = self.changed_in_table.as_ref().or(action_table) {
+            let table = std::path::Path::new(table);
             let folder = table
                 .parent()
                 .and_then(std::path::Path::file_name)

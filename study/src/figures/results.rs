@@ -400,12 +400,12 @@ impl RunCondition {
         self.actions.as_ref().map(|actions| actions.text.as_str())
     }
 
-    /// Changes that only a table identifies: unknown fields and actions, each with the name of the table.
+    /// Changes that only a table identifies: unknown fields and actions, each with a reference to the table.
     pub fn table_changes(&self) -> impl Iterator<Item = (String, String)> {
-        let unknown = self.changed_in_table.as_ref().map(|table| ("scenario changes", table));
+        let unknown = self.changed_in_table.as_ref().map(|table| ("other fields", table));
         let actions = self.actions.as_ref().map(|actions| ("actions", &actions.table));
         let changes = unknown.into_iter().chain(actions);
-        changes.map(|(kind, table)| (kind.to_owned(), table.clone()))
+        changes.map(|(kind, table)| (kind.to_owned(), format!("as in {table}")))
     }
 
     /// Describes [`Self::table_changes`], each after a comma; empty without such changes.

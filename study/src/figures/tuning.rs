@@ -74,7 +74,7 @@ fn caption(history: &History) -> String {
     });
     format!(
         "The tuning maximises the objective, {}. Colours and lines are the mean of a Gaussian process through the \
-         evaluated pairs, which are numbered in order; it is reliable only near them.{} For each pair, tables were \
+         evaluated pairs, numbered in order from 1 (the history counts from 0); it is reliable only near them.{} For each pair, tables were \
          trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
         header("objective").split_once(": ").map_or("", |(_, words)| words),
         best.unwrap_or_default(),

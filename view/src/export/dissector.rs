@@ -1,8 +1,9 @@
 //! Wireshark dissector in Lua, generated from the message schemas so that it reads the messages of this version.
 //!
 //! Every kind has a filter, such as `reveille.wake`, and every field has its own: `reveille.`, the kind and the path to
-//! the field, such as `reveille.wake.device`. The variant name of a choice is in `….is`. Names of fields end with their
-//! units. The keys of the generated tables are read by `dissector.lua`.
+//! the field, such as `reveille.wake.device`. The variant name of a choice is in `….is`. Labels of fields end with their
+//! units. `dissector.lua` reads the keys of the generated tables. `tests/recordings/check.py` checks the dissector with
+//! tshark.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -28,8 +29,8 @@ pub fn lua_script() -> String {
     for kind in MessageKind::ALL {
         let (plane, name, addressee) = (kind.plane().name(), kind.name(), kind.addressee().name());
         let lua_form = script.format(schemas.type_of(*kind), name);
-        // A field for the number in the message's key, unless it has none. A report's payload holds the device, so the
-        // field with this path exists already.
+        // The number in the message's key gets a field, except for a kind without a number. A report's payload holds the
+        // device too, so the field with this path exists already.
         let path = format!("{name}.{addressee}");
         let needs_no_number_field = kind.addressee() == Addressee::Unaddressed || script.fields.contains_key(&path);
         if !needs_no_number_field {

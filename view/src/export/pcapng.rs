@@ -5,9 +5,9 @@
 //! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both
 //! change together.
 //!
-//! The order of [`MessageKind::ALL`] is thus a file format: an old file is dissected correctly only by a script with
-//! the same numbers. Kinds may be appended, since `dissector.rs` generates the script's table of kinds; they may not be
-//! moved or removed.
+//! The order of [`MessageKind::ALL`] is thus part of the file format: a script dissects only files of the same
+//! [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), which changes with this order.
+//! `tests/recordings/check.py` reads the packets with tshark.
 
 use core::time::Duration;
 use std::io::Write;
@@ -18,7 +18,7 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 use pcap_file::{DataLink, Endianness, PcapError};
 use reveille_common::message::{Frame, MessageKind};
 
-use crate::recording::NANOS_PER_TTI;
+use crate::recording::log_time;
 
 /// Length of a packet header, bytes.
 const HEADER_BYTES: usize = 14;
@@ -55,7 +55,7 @@ impl<W: Write> PacketWriter<W> {
         let packet = packet_bytes(frame);
         self.0.write_pcapng_block(EnhancedPacketBlock {
             interface_id: 0,
-            timestamp: Duration::from_nanos(frame.tti.0 * NANOS_PER_TTI),
+            timestamp: Duration::from_nanos(log_time(frame.tti)),
             original_len: packet.len() as u32,
             data: packet.into(),
             options: Vec::new(),
@@ -97,6 +97,7 @@ mod tests {
     use reveille_common::message::WakeUp;
 
     use super::*;
+    use crate::recording::NANOS_PER_TTI;
 
     #[test]
     fn a_packet_has_a_header_the_payload_and_its_virtual_time() {

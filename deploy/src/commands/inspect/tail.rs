@@ -58,6 +58,12 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     source.report_position();
     let result = printer.print(&mut source).await;
     note!("{}", source.closing_line(printer.printed_lines));
+    if printer.printed_lines == 0 && args.since.is_some() {
+        note!(
+            "the messages of a grant have its first TTI, and a grant can cover many TTIs; choose an earlier --since, or \
+             run with --no-lookahead"
+        );
+    }
     source.close().await;
     result.map(|()| ExitReason::Done.into())
 }

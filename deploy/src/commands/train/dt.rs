@@ -20,7 +20,7 @@ use reveille_lab::transformer::{DtTrainingConfig, DtTrainingStatus, Trained, Tra
 
 use super::q_learning::interruption_error;
 use crate::cli::DtArgs;
-use crate::commands::resolve_scenario::resolve;
+use crate::commands::resolve_scenario::resolve_with_builtin_policy;
 use crate::display::{self, note};
 use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
@@ -153,7 +153,7 @@ fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
     if !(args.rate > 0.0 && args.rate <= 1.0) {
         bail!("--rate {}: must be above 0 and at most 1", args.rate);
     }
-    let scenario = resolve(&args.scenario())?;
+    let scenario = resolve_with_builtin_policy(&args.scenario())?;
     // `DtArgs::scenario` sets the policy.
     let settings: &DtSettings = scenario
         .policy

@@ -12,7 +12,7 @@ use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint_path};
 
 use crate::cli::TrainArgs;
-use crate::commands::resolve_scenario::resolve;
+use crate::commands::resolve_scenario::resolve_with_builtin_policy;
 use crate::display::{self, note};
 use crate::exit::Interrupted;
 use crate::paths::check_output_path;
@@ -20,7 +20,7 @@ use crate::signals::{SignalMode, Signals};
 
 /// Trains the requested tables.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario()?)?;
+    let scenario = resolve_with_builtin_policy(&args.scenario()?)?;
     let training = args.episodes.training()?;
     let mut largest_scenario = scenario.clone();
     largest_scenario.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
