@@ -108,7 +108,7 @@ struct DeviceEstimateState {
 }
 
 impl ClassHarvest {
-    /// Returns the expected harvest from `from` to before `end` of a device with the mean harvest `mean`.
+    /// Returns the expected harvest, micro-units, from `from` to before `end` of a device with the mean harvest `mean`.
     fn expected_harvest(&self, mean: Energy, from: Tti, end: Tti) -> u64 {
         match &self.day_profile {
             Some(profile) => profile.energy_between(from, end).micro(),

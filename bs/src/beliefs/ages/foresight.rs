@@ -27,7 +27,7 @@ impl Foresight {
     }
 
     /// Returns the expected battery levels by device id, if all devices sleep until then and harvest as expected.
-    /// Levels are between 0 and E_max.
+    /// Levels are between 0 and E_max. `seen` must hold the batteries of all devices.
     pub(crate) fn expected_levels(&mut self, seen: &Observation<'_>) -> &[Energy] {
         let end = seen.now.saturating_add(self.horizon_ttis);
         for (j, (expected, &level)) in (0..).zip(self.expected_levels.iter_mut().zip(seen.batteries)) {
