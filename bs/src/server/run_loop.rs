@@ -36,10 +36,11 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 const RETRANSMIT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without an answer after which a host counts as unresponsive. docs/command-line.md states it.
 pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_secs(5);
-/// Time without an answer after which a host counts as lost, even if its token exists.
+/// Time without an answer after which a host counts as lost, even if its liveliness token exists.
 /// docs/command-line.md states it.
 pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
+/// The parts of a run that the run loop uses and `serve` prepares.
 pub(super) struct LoopContext<'a> {
     pub(super) bus: &'a Bus,
     pub(super) settings: &'a ServerConfig,
@@ -49,6 +50,7 @@ pub(super) struct LoopContext<'a> {
     pub(super) port: PolicyPort<'a>,
 }
 
+/// State of the run loop; `failure_detection` has more of its methods.
 pub(super) struct RunLoop<'a> {
     downlink: Downlink<'a>,
     pub(super) context: LoopContext<'a>,
