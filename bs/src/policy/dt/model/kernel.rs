@@ -108,12 +108,12 @@ impl Linear {
     /// Computes `out = x · weight + bias` for each row of `x`, `[rows, inputs]`; `out` is `[rows, outputs]`.
     #[inline(always)]
     pub(super) fn apply(&self, x: &[f32], out: &mut [f32]) {
-        let all = |columns| ColumnSlice {
+        let full = |columns| ColumnSlice {
             start: 0,
             width: columns,
             stride: columns,
         };
-        multiply(&self.weight, &self.bias, x, all(self.inputs), out, all(self.outputs));
+        multiply(&self.weight, &self.bias, x, full(self.inputs), out, full(self.outputs));
     }
 }
 

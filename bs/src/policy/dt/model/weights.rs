@@ -249,8 +249,8 @@ pub fn encode_metadata(shape: ModelShape, training: &BTreeMap<String, String>) -
     ];
     let entries = entries.map(|(key, value)| (key.to_owned(), value));
     // These entries last, so that no key of `training` replaces them.
-    let all: BTreeMap<String, String> = training.clone().into_iter().chain(entries).collect();
-    serde_json::to_string(&all).expect("texts can be written")
+    let metadata: BTreeMap<String, String> = training.clone().into_iter().chain(entries).collect();
+    serde_json::to_string(&metadata).expect("texts can be written")
 }
 
 fn decode_shape(metadata: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {

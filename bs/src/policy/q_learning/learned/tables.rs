@@ -343,8 +343,8 @@ pub fn score_bucket(share: f64) -> usize {
         .count()
 }
 
-/// Returns the start of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other at 1/√2 of
-/// the start of the next; the last ends at 1.
+/// Returns the start, not the end, of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other
+/// at 1/√2 of the start of the next; the last ends at 1.
 pub fn score_edge(bucket: usize) -> f64 {
     if bucket == 0 {
         return 0.0;
