@@ -1,5 +1,5 @@
 //! Checks of the changes that operators ask for, before a run accepts them: over the bus, in an input log, or in a file
-//! of timed actions.
+//! of timed actions. Tests quote parts of the errors.
 
 use reveille_common::message::{Change, Setting};
 use reveille_common::units::{Energy, MAX_UNITS};
@@ -32,6 +32,7 @@ pub fn check_change(change: &Change, scenario: &Scenario) -> Result<(), String> 
     }
 }
 
+/// Checks the value of `setting`. Only `age-index` implements `Policy::set_price`; others would ignore the price.
 fn check_setting(setting: Setting, value: f64, scenario: &Scenario) -> Result<(), String> {
     let field = setting.field();
     match setting {

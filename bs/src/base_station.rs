@@ -128,8 +128,8 @@ impl BaseStation {
 
     /// Whether an external policy has to decide wake-ups in TTI `tti`.
     pub(crate) fn needs_external_wake_ups(&self, tti: Tti) -> bool {
-        let asked = self.external().filter(|_| self.has_report);
-        asked.is_some_and(|external| external.needs_wake_ups(&self.view.observation(tti)))
+        let external = self.external().filter(|_| self.has_report);
+        external.is_some_and(|external| external.needs_wake_ups(&self.view.observation(tti)))
     }
 
     /// The decision context for an external policy in TTI `k`; `None` if a policy of this program decides.
@@ -146,7 +146,7 @@ impl BaseStation {
         self.external().map(|external| external.context(stage, observation))
     }
 
-    /// Closes TTI `tti`.
+    /// Closes TTI `tti` in the history of an external policy; without effect under any other.
     pub fn close_tti(&mut self, tti: Tti) {
         if self.is_external {
             let (external, view) = self.external_and_view();
@@ -155,15 +155,22 @@ impl BaseStation {
     }
 
     /// Sets the plan of an external policy for the next TTI.
+    ///
+    /// # Panics
+    /// If a policy of this program decides.
     pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
         self.external_and_view().0.set_plan(decision);
     }
 
-    /// Changes the price θ of a policy that has one.
+    /// Changes the price θ under `age-index`; without effect under any other policy.
     pub(crate) fn set_price(&mut self, price: f64) {
         self.policy.set_price(&self.view.known, price);
     }
 
+    /// Sets the wake-ups of an external policy in TTI `tti`.
+    ///
+    /// # Panics
+    /// If a policy of this program decides.
     pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId]) {
         let (external, view) = self.external_and_view();
         external.set_wake_ups(&view.observation(tti), devices);
@@ -213,7 +220,8 @@ impl BaseStation {
             .is_some_and(BatteryEstimator::needs_true_levels)
     }
 
-    /// The known battery levels, in the order of ids; empty for a policy that needs none.
+    /// The levels of the battery estimator, in the order of ids; empty without one. They are current in each
+    /// TTI only for a policy that reads batteries.
     pub fn batteries(&self) -> &[Energy] {
         self.view
             .battery_estimator
@@ -228,8 +236,11 @@ impl BaseStation {
         }
     }
 
-    /// Begins TTI `k` and decides if a decision is due. Returns the plan to send and whether it is new; a plan that is
-    /// not new is sent for synchronisation.
+    /// Begins TTI `k` and decides if a decision is due. Returns the plan to send, if any, and whether it is new; a plan
+    /// that is not new is sent for synchronisation.
+    ///
+    /// # Panics
+    /// If an external plan is due and not set, or the policy names no later TTI for its next decision.
     pub fn begin_tti(&mut self, k: Tti) -> Option<(PlanUpdate, bool)> {
         let mut is_new = k == Tti::ZERO;
         // The policy must not see Î of the previous TTI when it decides for this one.

@@ -10,6 +10,7 @@ use reveille_common::scenario::Scenario;
 pub(crate) struct Boundaries {
     warm_up_end: Tti,
     end: Tti,
+    /// Length of a window, TTIs.
     window: u64,
 }
 

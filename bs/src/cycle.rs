@@ -80,6 +80,7 @@ pub struct Cycle {
     next_tti: Tti,
     /// Whether a grant is out and its last TTI is not closed.
     is_open: bool,
+    /// Number of wake-ups in the last granted TTI so far.
     wake_up_count: u32,
     /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
     last_woken: Vec<Tti>,
@@ -202,8 +203,8 @@ impl Cycle {
         })
     }
 
-    /// Makes `changes` at the start of [`Self::next_tti`], before its grant. The station receives no notice of failed
-    /// devices, only silence.
+    /// Makes `changes` at the start of [`Self::next_tti`], before its grant. The shell makes changes of devices on the
+    /// devices themselves. The station receives no notice of failed devices, only silence.
     pub(crate) fn apply_changes(&mut self, changes: &[Change], observer: &mut impl Observer) {
         let tti = self.next_tti;
         for &change in changes {
@@ -314,7 +315,8 @@ impl Cycle {
         }
     }
 
-    /// Takes in the reports of TTI `tti`, the last of the grant, and the devices that failed to report, in any order.
+    /// Takes in the reports of TTI `tti`, the last of the open grant, and the devices that failed to report, in any
+    /// order. Call it once per grant.
     pub(crate) fn complete_grant(
         &mut self,
         tti: Tti,

@@ -108,7 +108,7 @@ struct DeviceEstimateState {
 }
 
 impl ClassHarvest {
-    /// Returns the expected harvest from `from` to before `end` of a device with the mean harvest `mean`.
+    /// Returns the expected harvest, micro-units, from `from` to before `end` of a device with the mean harvest `mean`.
     fn expected_harvest(&self, mean: Energy, from: Tti, end: Tti) -> u64 {
         match &self.day_profile {
             Some(profile) => profile.energy_between(from, end).micro(),
@@ -159,7 +159,7 @@ impl DeviceEstimateState {
 
     /// Returns `level` after the TTIs before `end`, with `device` of `class` under `plan`, and the number of TTIs in
     /// S1.
-    fn estimate_at(
+    fn level_before(
         &self,
         class: &ClassHarvest,
         level: Energy,
@@ -318,7 +318,7 @@ impl BatteryEstimator {
     fn estimate_at(&self, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
         let estimate = &self.estimates[device.index()];
         let class = &self.classes[usize::from(estimate.class)];
-        estimate.estimate_at(class, self.levels[device.index()], device, plan, end)
+        estimate.level_before(class, self.levels[device.index()], device, plan, end)
     }
 
     /// Advances all estimates through the TTIs before `end` under `plan`: adds the expected harvest and subtracts the
@@ -330,7 +330,7 @@ impl BatteryEstimator {
         }
         for ((level, estimate), j) in self.levels.iter_mut().zip(&mut self.estimates).zip(0..) {
             let class = &mut self.classes[usize::from(estimate.class)];
-            let (level_at_end, on_ttis) = estimate.estimate_at(class, *level, DeviceId(j), plan, end);
+            let (level_at_end, on_ttis) = estimate.level_before(class, *level, DeviceId(j), plan, end);
             (*level, estimate.next_tti) = (level_at_end, end.max(estimate.next_tti));
             // A device that does not sense, or has too little energy for a report, has a known reason for its silence.
             if on_ttis > 0 && estimate.report_rate > 0.0 && level_at_end >= estimate.energy.e_tx {

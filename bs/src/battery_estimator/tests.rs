@@ -155,16 +155,16 @@ fn one_step_over_several_days_equals_single_steps() {
 
 #[test]
 fn estimates_stay_between_zero_and_e_max() {
-    let rich = load_knowledge(&["harvest.lambda=1", "harvest.e_b=5"]);
-    let mut estimator = BatteryEstimator::new(&rich);
+    let ample_harvest = load_knowledge(&["harvest.lambda=1", "harvest.e_b=5"]);
+    let mut estimator = BatteryEstimator::new(&ample_harvest);
     let asleep = Plan::from_bits([false; 50]);
     for k in 0..200 {
         estimator.advance(Tti(k + 1), &asleep);
     }
     // A full battery ends each TTI below E_max by the cost of that TTI.
     assert_eq!(estimator.levels()[0].micro(), 100_000_000 - 71_429);
-    let poor = load_knowledge(&["harvest.lambda=0"]);
-    let (mut estimator, all_sensing) = (BatteryEstimator::new(&poor), Plan::from_bits([true; 50]));
+    let no_harvest = load_knowledge(&["harvest.lambda=0"]);
+    let (mut estimator, all_sensing) = (BatteryEstimator::new(&no_harvest), Plan::from_bits([true; 50]));
     for k in 0..200 {
         estimator.advance(Tti(k + 1), &all_sensing);
     }

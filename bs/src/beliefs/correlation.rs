@@ -49,9 +49,9 @@ impl Correlation {
     /// Creates the correlation for the given sensing model. The bounds come from `cache`, computed if it has none.
     pub fn new(sensing: &Sensing, cache: &BoundsCache) -> Self {
         let decay_ratio = (sensing.eta * sensing.d_max / BASE_DECAY).max(1.0);
-        let count = (BASE_NODES * decay_ratio.sqrt()).ceil().min(MAX_NODES) as usize;
+        let node_count = (BASE_NODES * decay_ratio.sqrt()).ceil().min(MAX_NODES) as usize;
         // A node of weight 0 fills the last lane.
-        let nodes = gauss_legendre(count).chain(std::iter::once((1.0, 0.0)));
+        let nodes = gauss_legendre(node_count).chain(std::iter::once((1.0, 0.0)));
         let (doubled_versines, weights): (Vec<f64>, Vec<f64>) = nodes
             .map(|(t, weight)| {
                 let t = 0.5 * (t + 1.0);
@@ -66,8 +66,8 @@ impl Correlation {
             threshold: sensing.p(sensing.d_max),
             bounds: Arc::default(),
         };
-        let key = (sensing.eta.to_bits(), sensing.d_max.to_bits());
-        correlation.bounds = cache.get_or_make(key, || correlation.compute_bounds());
+        let model_key = (sensing.eta.to_bits(), sensing.d_max.to_bits());
+        correlation.bounds = cache.get_or_make(model_key, || correlation.compute_bounds());
         correlation
     }
 

@@ -49,6 +49,7 @@ impl InformationTarget {
         self.candidates.belief()
     }
 
+    /// Adds the answer to the last wake-up; `seen` already includes its information.
     pub(crate) fn add_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report.filter(|_| !self.is_reached(seen)) {
             self.candidates.add_report(seen, report);

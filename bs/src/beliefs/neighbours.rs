@@ -41,7 +41,7 @@ impl Neighbours {
         self.positions[device.index()]
     }
 
-    /// Returns the devices in band `band` of `device`. The first band includes the device itself.
+    /// Returns the devices in band `band`, below `band_count`, of `device`. The first band includes the device itself.
     pub(crate) fn band(&mut self, device: DeviceId, band: usize) -> &[DeviceId] {
         let Self {
             buckets,

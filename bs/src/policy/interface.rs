@@ -69,7 +69,8 @@ pub trait Policy: Any + Send {
         None
     }
 
-    /// Changes the price θ of a policy that has one, from the next decision on.
+    /// Changes the price θ from the next decision on. `bs/src/actions.rs` allows this under `age-index` alone, so all
+    /// other policies may ignore it.
     fn set_price(&mut self, _known: &Knowledge, _price: f64) {}
 
     /// Gives access to ground truth, which makes the policy an upper bound that no base station could run. The plans of

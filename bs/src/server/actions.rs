@@ -60,15 +60,15 @@ impl ActionHandler {
 impl ServerState {
     /// Returns the TTI of an action that an operator wants `at` a TTI, by default as soon as possible.
     fn action_tti(&self, at: Option<Tti>) -> Result<Tti, String> {
-        let (next, end) = (self.next_tti, self.clock.end());
-        if next >= end {
+        let (next, run_end) = (self.next_tti, self.clock.end());
+        if next >= run_end {
             return Err("the last TTI of the run is granted already, so an action has no effect".to_owned());
         }
         let tti = at.unwrap_or(next);
-        if (next..end).contains(&tti) {
+        if (next..run_end).contains(&tti) {
             Ok(tti)
         } else {
-            let last = end.0 - 1;
+            let last = run_end.0 - 1;
             Err(format!(
                 "TTI {tti}: must be from {next}, the next TTI, to {last}, the last TTI of the run"
             ))
@@ -80,14 +80,14 @@ impl ServerState {
         if change.devices() != Some(DeviceRange::ALL) {
             return vec![change];
         }
-        let ends = self.removed_devices.iter().copied().chain([DeviceId(devices)]);
+        let range_ends = self.removed_devices.iter().copied().chain([DeviceId(devices)]);
         let mut first = DeviceId(0);
-        let ranges = ends.filter_map(|end| {
+        let ranges = range_ends.filter_map(|range_end| {
             let range = DeviceRange {
                 first,
-                count: end.0 - first.0,
+                count: range_end.0 - first.0,
             };
-            first = DeviceId(end.0 + 1);
+            first = DeviceId(range_end.0 + 1);
             (range.count > 0).then(|| change.with_devices(range))
         });
         ranges.collect()

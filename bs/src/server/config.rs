@@ -73,9 +73,9 @@ pub struct ServerConfig {
     pub starts_paused: bool,
     /// TTIs between two frames with the states of all devices; 0 for none.
     pub state_interval_ttis: u64,
-    /// The run's key, which operators must show; `None` if any client may control the clock.
+    /// The run's key, which operators and policy processes must show; `None` if any client may act as one.
     pub run_key: Option<Secret>,
-    /// Whether hosts must show the key as well.
+    /// Whether hosts must show the run's key as well.
     pub join_needs_key: bool,
 }
 

@@ -11,7 +11,7 @@ use super::run_loop::{LOST_AFTER, RunLoop, UNRESPONSIVE_AFTER};
 use super::state::ServerState;
 
 impl RunLoop<'_> {
-    /// Logs a warning for each unresponsive host.
+    /// Logs a warning for each host that has not answered; the caller measures the time.
     pub(super) fn warn_of_unresponsive_hosts(&self) {
         let state = self.context.shared.lock();
         for host in state.barrier.missing_hosts() {
@@ -21,7 +21,7 @@ impl RunLoop<'_> {
         }
     }
 
-    /// Marks hosts as lost that have not answered for 30 s.
+    /// Marks the hosts that have not answered for [`LOST_AFTER`] as lost; the caller measures the time.
     pub(super) fn mark_unresponsive_hosts_lost(&self) {
         let mut state = self.context.shared.lock();
         for host in state.barrier.missing_hosts() {

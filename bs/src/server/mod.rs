@@ -6,7 +6,8 @@
 //! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through
 //! `downlink` and waits at the [`barrier`], under the [`clock`]. [`roster`] checks received values.
 //! `failure_detection`, [`failover`] and `removed_hosts` handle lost hosts; [`policy_port`] obtains external decisions.
-//! `config` and `error` declare the settings, outcome and errors of a run, and `serve` its entry points.
+//! `actions` accepts the actions of operators. `config` and `error` declare the settings, outcome and errors of a run,
+//! and `serve` its entry points.
 //!
 //! The cargo feature `host` adds the modules that need tokio and zenoh. `lab`, `view`, `study`, the Python package and
 //! the fuzz targets build without it, and get the other modules: the records of hosts, and `config`.

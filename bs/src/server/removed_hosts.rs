@@ -78,12 +78,12 @@ impl RemovedHosts {
 
     /// Returns the ledgers before TTI `k` of all devices of removed hosts.
     pub(super) fn all_ledgers_before(&self, k: Tti) -> Result<Vec<(DeviceId, Ledger)>, BsError> {
-        let mut all = Vec::new();
+        let mut all_ledgers = Vec::new();
         for RemovedHost { assignment, .. } in &self.hosts {
             let ledgers = self.ledgers_before(k, assignment.first, assignment.count)?;
-            all.extend((assignment.first.0..).map(DeviceId).zip(ledgers));
+            all_ledgers.extend((assignment.first.0..).map(DeviceId).zip(ledgers));
         }
-        Ok(all)
+        Ok(all_ledgers)
     }
 
     /// Returns the ledgers before TTI `k` of `count` devices, starting with `first`.

@@ -37,7 +37,7 @@ impl Roster {
         }
     }
 
-    /// Sets the hosts with which the run begins.
+    /// Sets the hosts with which the run begins. Together they own every device.
     pub fn set_hosts(&mut self, assignments: Vec<Assignment>) {
         self.positions.clear();
         self.owners = vec![0; self.devices.len()];
@@ -49,7 +49,7 @@ impl Roster {
         self.assignments = assignments;
     }
 
-    /// Removes the host at `position` with its devices.
+    /// Removes the host at `position` with its devices. The barrier calls this once it expects nothing from the host.
     pub fn remove_host(&mut self, position: usize) {
         self.set_position(self.assignments[position].host, None);
         self.removed[position] = true;

@@ -36,10 +36,11 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 const RETRANSMIT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without an answer after which a host counts as unresponsive. docs/command-line.md states it.
 pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_secs(5);
-/// Time without an answer after which a host counts as lost, even if its token exists.
+/// Time without an answer after which a host counts as lost, even if its liveliness token exists.
 /// docs/command-line.md states it.
 pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
+/// The parts of a run that the run loop uses and `serve` prepares.
 pub(super) struct LoopContext<'a> {
     pub(super) bus: &'a Bus,
     pub(super) settings: &'a ServerConfig,
@@ -49,6 +50,7 @@ pub(super) struct LoopContext<'a> {
     pub(super) port: PolicyPort<'a>,
 }
 
+/// State of the run loop; `failure_detection` has more of its methods.
 pub(super) struct RunLoop<'a> {
     downlink: Downlink<'a>,
     pub(super) context: LoopContext<'a>,
@@ -502,18 +504,18 @@ impl RunLoop<'_> {
         self.downlink
             .send_clock(ClockMessage::CollectLedgers(self.session.next_tti()))?;
         self.wait_for_answers().await?;
-        let end = self.session.next_tti();
+        let run_end = self.session.next_tti();
         let (mut ledgers, lost_meanwhile, devices) = {
             let mut state = self.context.shared.lock();
             let devices = state.barrier.roster_mut().device_count() as u32;
             let lost_meanwhile = std::mem::take(&mut state.pending_removals);
             (state.barrier.take_ledgers(), lost_meanwhile, devices)
         };
-        ledgers.extend(self.removed_hosts.all_ledgers_before(end)?);
+        ledgers.extend(self.removed_hosts.all_ledgers_before(run_end)?);
         for Assignment { first, count, .. } in lost_meanwhile {
             // A host lost in this barrier has completed all TTIs, so its devices are not removed: a replay has their
             // ledgers.
-            let lost_ledgers = self.removed_hosts.ledgers_before(end, first, count)?;
+            let lost_ledgers = self.removed_hosts.ledgers_before(run_end, first, count)?;
             ledgers.extend((first.0..).map(DeviceId).zip(lost_ledgers));
         }
         ledgers.sort_unstable_by_key(|(device, _)| *device);

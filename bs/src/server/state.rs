@@ -64,10 +64,10 @@ impl ServerState {
             .filter(|position| !roster.is_removed(*position))
             .map(|position| roster.assignment(position))
             .collect::<Vec<_>>();
-        let named = assignments
+        let owners = assignments
             .into_iter()
             .map(|assignment| (assignment, self.admission.host_name(assignment.host).to_owned()));
-        *progress.owners.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
+        *progress.owners.lock().unwrap_or_else(PoisonError::into_inner) = owners.collect();
     }
 
     /// The clock status for operators. After a pause command the clock runs until the open TTI is closed.
@@ -145,8 +145,8 @@ impl SharedState {
     /// Locks the state while the run loop decides about no grant, for an action in a TTI that is not granted yet.
     pub(super) fn lock_between_grants(&self) -> MutexGuard<'_, ServerState> {
         // The wait is short: the run loop only computes until it has decided.
-        let unlocked = self.has_granted.wait_while(self.lock(), |state| state.is_granting);
-        unlocked.unwrap_or_else(PoisonError::into_inner)
+        let locked = self.has_granted.wait_while(self.lock(), |state| state.is_granting);
+        locked.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Ends the decision about a grant: `next_tti` is the first TTI that is not granted yet.

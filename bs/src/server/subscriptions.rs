@@ -1,5 +1,6 @@
 //! Subscriptions and queryables of the base station: every message from the bus enters the shared state here. This file
-//! checks credentials; `roster` checks the values.
+//! checks the credentials of hosts and the run's key of clock commands, `actions` and `join` check the key of their
+//! requests, and `roster` the values.
 
 use std::sync::Arc;
 
@@ -25,8 +26,8 @@ pub(super) fn declare(
     replay: Option<Arc<dyn ReplaySource>>,
     shared: &Arc<SharedState>,
 ) -> Result<Vec<DeclarationGuard>, BusError> {
-    let keys = bus.key_exprs();
-    let bus_secret = keys
+    let key_exprs = bus.key_exprs();
+    let bus_secret = key_exprs
         .member_secret()
         .ok_or_else(|| BusError::Refused("this session does not belong to a base station".to_owned()))?;
     let mut guards = Vec::new();
@@ -43,12 +44,14 @@ pub(super) fn declare(
         });
     })?);
     let shared_state = Arc::clone(shared);
-    guards.push(bus.watch_alive(keys.all_host_liveliness(), move |key, is_alive| {
-        if let Some(pass) = HostCredential::from_key_expr(key) {
-            shared_state.lock().on_liveliness(pass, is_alive);
-            shared_state.notify_run_loop();
-        }
-    })?);
+    guards.push(
+        bus.watch_alive(key_exprs.all_host_liveliness(), move |key_expr, is_alive| {
+            if let Some(pass) = HostCredential::from_key_expr(key_expr) {
+                shared_state.lock().on_liveliness(pass, is_alive);
+                shared_state.notify_run_loop();
+            }
+        })?,
+    );
     let (shared_state, run_key) = (Arc::clone(shared), settings.run_key);
     guards.push(bus.serve_with_secret(move |command: ClockCommand, shown| {
         // A request for the status changes nothing, so any client may send it.
@@ -73,7 +76,7 @@ pub(super) fn declare(
     guards.push(bus.serve_with_secret(move |request: ActRequest, shown| actions.accept(request, shown))?);
     let shared_state = Arc::clone(shared);
     guards.push(bus.serve_with_secret(move |Ready { host }, shown| {
-        let pass = shown.map(|token| HostCredential { host, token });
+        let pass = shown.map(|secret| HostCredential { host, token: secret });
         let is_known = pass.is_some_and(|pass| shared_state.lock().on_ready(pass));
         shared_state.notify_run_loop();
         Ok(is_known)
@@ -88,14 +91,14 @@ pub(super) fn declare(
     };
     guards.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.handle_request(&request, shown)))?);
     // Declared last, so that no process finds the base station alive before its queryables exist.
-    guards.push(bus.declare_alive(keys.bs_liveliness())?);
+    guards.push(bus.declare_alive(key_exprs.bs_liveliness())?);
     Ok(guards)
 }
 
 /// Passes a message from a host to `handle`, which returns whether it completes the barrier.
 fn handle_host_message(shared: &SharedState, pass: HostCredential, handle: impl FnOnce(&mut ServerState) -> bool) {
     let mut state = shared.lock();
-    // The credential comes from the key of the message; a revoked host or an unknown process has no valid one.
+    // The credential comes from the message's key expression; a revoked host or an unknown process has no valid one.
     if !state.admission.is_valid(pass) {
         state.barrier.count_unexpected();
     } else if handle(&mut state) {

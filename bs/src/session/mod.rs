@@ -10,6 +10,10 @@
 //!                                                              of wake-ups         ▲                  │
 //!                                                                                  └──── outcome ◄────┘
 //! ```
+//! `RequestDecision` occurs under an external policy alone. After reports, an outcome or a decision, the next step is a
+//! wake-up, another decision of wake-ups, or the next TTI; [`Action::TtiClosed`] announces it after a queued decision.
+//! After the last TTI, or once the observer ends the run, [`Action::Finish`] is the only action.
+//!
 //! An action that has a result is repeated until the shell passes the result: a shell can stop at any of them and
 //! continue later. The devices belong to the shell, as state machines in memory (`lab/src/run.rs`) or on hosts over the
 //! bus (`bs/src/server/run_loop.rs`).
@@ -118,7 +122,7 @@ pub struct Session {
     plan_from: Option<Tti>,
     /// The position before the last grant, open or closed.
     resume_point: ResumePoint,
-    /// The last account boundary whose sums were taken or are on their way.
+    /// The last boundary whose sums were taken or are on their way.
     last_boundary: Tti,
     /// The boundary after it, which no grant crosses.
     next_boundary: Tti,

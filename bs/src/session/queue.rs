@@ -20,12 +20,12 @@ pub struct InputQueue {
 }
 
 impl InputQueue {
-    /// Appends a removal.
+    /// Appends a removal that takes effect after all others in the queue.
     pub fn push_removal(&mut self, removal: DeviceRemoval) {
         self.removals.push_back(removal);
     }
 
-    /// Appends a decision.
+    /// Appends a decision that takes effect after all others in the queue.
     pub fn push_decision(&mut self, decision: RecordedDecision) {
         self.decisions.push_back(decision);
     }
@@ -61,7 +61,7 @@ impl InputQueue {
         self.actions.front().map_or(Tti::NEVER, |action| action.tti)
     }
 
-    /// Takes the changes that are due at the start of TTI `k`.
+    /// Takes the changes that are due at the start of TTI `k`, or were due before.
     pub(super) fn take_changes(&mut self, k: Tti) -> Vec<Change> {
         let due = std::iter::from_fn(|| self.actions.pop_front_if(|next| next.tti <= k));
         due.map(|action| action.change).collect()

@@ -7,7 +7,7 @@ use reveille_common::scenario::{ClassKnowledge, Site};
 use super::{MAX_WORTH, count_cells, price};
 use crate::beliefs::grid::MAX_CELLS;
 
-/// Checks the site for the policy called `policy`, which selects by ages, with `price` per TTI in S1 if it is fixed.
+/// Checks the site for the policy called `policy`, which selects by ages, with the price θ, in reaches, if it is fixed.
 /// Warns if the plan would rarely or never let a device sense.
 ///
 /// # Errors

@@ -27,12 +27,12 @@ impl Foresight {
     }
 
     /// Returns the expected battery levels by device id, if all devices sleep until then and harvest as expected.
-    /// Levels are between 0 and E_max.
+    /// Levels are between 0 and E_max. `seen` must hold the batteries of all devices.
     pub(crate) fn expected_levels(&mut self, seen: &Observation<'_>) -> &[Energy] {
-        let end = seen.now.saturating_add(self.horizon_ttis);
+        let target_tti = seen.now.saturating_add(self.horizon_ttis);
         for (j, (expected, &level)) in (0..).zip(self.expected_levels.iter_mut().zip(seen.batteries)) {
             let energy = &seen.known.devices[j as usize].energy;
-            let harvest = seen.known.expected_harvest(DeviceId(j), seen.now, end);
+            let harvest = seen.known.expected_harvest(DeviceId(j), seen.now, target_tti);
             let sleep_cost = Energy::from_micro(energy.e_wur.micro().saturating_mul(self.horizon_ttis));
             *expected = (level + harvest).saturating_sub(sleep_cost).min(energy.e_max);
         }

@@ -12,11 +12,12 @@ pub(crate) const MAX_AGE: usize = u8::MAX as usize;
 pub type AgeIndexTable = [u8; MAX_AGE + 1];
 
 /// Age in TTIs from which on the worth no longer grows: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events
-/// last longer, and places that no device covers affect no choice.
+/// last longer, and places that no device covers affect no choice. `tests/src/reference/age_index.rs` repeats it.
 const SATURATION_AGE: u8 = 22;
 
-/// Worth of a sensing area whose places are all of age `SATURATION_AGE` or more: the largest worth of a look.
-pub const MAX_WORTH: f64 = age_index(SATURATION_AGE) as f64;
+/// Largest worth of a look, where all places have age `SATURATION_AGE` or more, in reaches: the unit of the price θ. A
+/// reach is the worth of one device's places at age 1. docs/age-index.md states the value.
+pub const MAX_WORTH: f64 = worth_at_age(SATURATION_AGE) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.
 pub const MIN_PRICE: f64 = 1e-30;
@@ -24,12 +25,12 @@ pub const MIN_PRICE: f64 = 1e-30;
 /// Returns the worth of each age a: a(a + 1)/2. This is Whittle's index of a place if an undetected event costs the
 /// same in each TTI.
 pub fn age_worths() -> AgeIndexTable {
-    std::array::from_fn(|age| age_index(age as u8))
+    std::array::from_fn(|age| worth_at_age(age as u8))
 }
 
 /// Returns the worth of `age`, as in [`age_worths`].
 #[inline]
-pub(super) const fn age_index(age: u8) -> u8 {
+pub(super) const fn worth_at_age(age: u8) -> u8 {
     let age = if age < SATURATION_AGE { age } else { SATURATION_AGE } as u16;
     (age * (age + 1) / 2) as u8
 }

@@ -37,8 +37,8 @@ pub(crate) struct Prices {
 }
 
 impl Prices {
-    /// Creates prices with the mean `price` per TTI in S1 over the devices in `known`. The price of a class is
-    /// proportional to its extra energy in S1 over S4.
+    /// Creates prices with the mean `price` per TTI in S1 over the devices in `known`: θ times a reach. The price of a
+    /// class is proportional to its extra energy in S1 over S4.
     pub(crate) fn new(known: &Knowledge, price: f64) -> Self {
         let extra_energy = |energy: &EnergyModel| energy.e_idle.saturating_sub(energy.e_wur).micro() as f64;
         let energies = || known.devices.iter().map(|device| &device.energy);

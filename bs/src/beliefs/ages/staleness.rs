@@ -192,7 +192,7 @@ impl CertainStaleness {
             let mut worths = [0_u8; LANES];
             for (age, worth) in ages.iter_mut().zip(&mut worths) {
                 *age = age.saturating_add(1);
-                *worth = index_table::age_index(*age);
+                *worth = index_table::worth_at_age(*age);
             }
             for (prefix_sum, worth) in prefix_sums.iter_mut().zip(worths) {
                 sum += u64::from(worth);
@@ -210,7 +210,7 @@ impl CertainStaleness {
         }
         let rows = self.ages.chunks_exact(self.stride).enumerate();
         let beyond = rows.flat_map(|(row, ages)| &ages[if row < self.rows { self.columns } else { 0 }..]);
-        beyond.map(|age| u64::from(index_table::age_index(*age))).sum()
+        beyond.map(|age| u64::from(index_table::worth_at_age(*age))).sum()
     }
 
     /// Returns the worth of a look, at most 16 · 16 · 255.

@@ -166,15 +166,15 @@ impl<'a> Partition<'a> {
         let mut by_distance: Vec<_> = (0..self.cluster_of.len()).map(|j| (squared_distance(j), j)).collect();
         by_distance.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let mut farthest_first = by_distance.into_iter().map(|(_, j)| j);
-        for empty in 0..sizes.len() {
-            if sizes[empty] > 0 {
+        for cluster in 0..sizes.len() {
+            if sizes[cluster] > 0 {
                 continue;
             }
             // There are no more clusters than devices, so a cluster with a device to spare exists.
             if let Some(j) = farthest_first.find(|&j| sizes[self.cluster_of[j] as usize] > 1) {
                 sizes[self.cluster_of[j] as usize] -= 1;
-                sizes[empty] = 1;
-                self.cluster_of[j] = empty as u32;
+                sizes[cluster] = 1;
+                self.cluster_of[j] = cluster as u32;
             }
         }
         self.move_centroids();

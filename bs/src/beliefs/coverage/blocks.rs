@@ -20,7 +20,7 @@ pub(super) struct CellBlocks {
     pub(super) devices: Vec<u32>,
 }
 
-/// A block of cells: its corner, and the ranges of its cells and devices in [`CellBlocks`].
+/// A block of cells: its corner, and the ranges (start, end) of its cells and devices in [`CellBlocks`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub(super) row: u32,
@@ -68,9 +68,9 @@ impl CellBlocks {
             }
         }
         // Area, in cells, of the square of side 2·d_max around a cell, as far as it lies in the area.
-        let range = (d_max / raster.cell_width.max(raster.cell_height)) as u32;
+        let range_in_cells = (d_max / raster.cell_width.max(raster.cell_height)) as u32;
         let area_in_reach = |row: u32, column: u32| {
-            let side = |index: u32, count: u32| index.min(count - 1 - index).min(range) + range;
+            let side = |index: u32, count: u32| index.min(count - 1 - index).min(range_in_cells) + range_in_cells;
             u64::from(side(row, rows)) * u64::from(side(column, columns))
         };
         let middle =

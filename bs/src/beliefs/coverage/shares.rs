@@ -118,6 +118,7 @@ impl UncoveredShares {
         lanes.into_iter().map(u64::from).sum()
     }
 
+    /// Adds a device that was not added before.
     pub(super) fn add(&mut self, j: usize) {
         for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
             let uncovered = &mut self.uncovered[row.cells()];

@@ -348,12 +348,12 @@ impl EpicentreBelief {
 
     fn ring_points(&self, centre: Point, d: f64) -> Vec<RingPoint> {
         let point_at = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
-        let all = self
+        let positions_inside = self
             .directions
             .iter()
             .map(point_at)
             .filter(|&position| self.area.contains(position));
-        let inside: Vec<RingPoint> = all
+        let inside: Vec<RingPoint> = positions_inside
             .map(|position| RingPoint::new(position, ScaledLikelihood::CERTAIN))
             .collect();
         if inside.is_empty() {

@@ -356,8 +356,8 @@ fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
             "{kind:?}: weight {in_range} in range, {beyond} beyond"
         );
         // A second ring that leaves two points: one within that range, one outside.
-        let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
-        belief.add_reporter(DeviceId(2), points[2].distance(left), uniform_prior);
+        let event = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
+        belief.add_reporter(DeviceId(2), points[2].distance(event), uniform_prior);
         let [in_range, beyond] = weights(&belief);
         assert!(
             belief.points.len() == 2 && in_range < 1e-9 * beyond,

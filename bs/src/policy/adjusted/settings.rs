@@ -48,10 +48,10 @@ impl AdjustedSettings {
 
     /// Returns the pairs (t_on, t_DRX) to search, in the order of the lists.
     pub fn pairs(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        let all = self
+        let all_pairs = self
             .t_on
             .iter()
             .flat_map(|&t_on| self.t_drx.iter().map(move |&t_drx| (t_on, t_drx)));
-        all.filter(|(t_on, t_drx)| t_on <= t_drx)
+        all_pairs.filter(|(t_on, t_drx)| t_on <= t_drx)
     }
 }

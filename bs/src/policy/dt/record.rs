@@ -104,7 +104,8 @@ impl BatterySource {
 }
 
 /// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]). It decides
-/// in every TTI and passes on the other calls of [`Policy`] except `oracle`, so a new method needs a line here.
+/// in every TTI, always reads batteries, and passes on all other calls of [`Policy`] except `oracle`. A new method
+/// needs a line here.
 pub struct RecordingPolicy<S> {
     policy: Box<dyn Policy>,
     battery_source: BatterySource,

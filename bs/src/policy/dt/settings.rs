@@ -28,6 +28,8 @@ const MODELS: &[Alternative] = &[
     },
 ];
 
+// The texts repeat the sizes of `ModelShape::SHIPPED`. `price` has the default of `age-index`, which an untrained model
+// must equal.
 declare! {
     /// Settings of the policy `dt` (Sec. V-C, Algorithm 2).
     #[derive(Clone, Debug)]

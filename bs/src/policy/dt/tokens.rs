@@ -43,7 +43,7 @@ pub const FEATURES: [&str; 20] = [
     "delay",
 ];
 
-/// Index of the feature that states whether the battery of a device lets it sense, 0 or 1.
+/// Index of `can_sense` in [`FEATURES`], which states whether the battery of a device lets it sense, 0 or 1.
 pub const CAN_SENSE: usize = 1;
 
 /// Number of features of a token.
@@ -98,7 +98,8 @@ struct ReportedEvent {
     tti: Tti,
 }
 
-/// State of the base station from which tokens are built.
+/// State of the base station from which tokens are built. Calls in each TTI: `begin_tti`, then `mark_sensing`, then
+/// `add_report` for each report. The observations must hold batteries.
 #[derive(Clone, Debug)]
 pub(crate) struct TokenBuilder {
     ages: Ages,

@@ -92,7 +92,7 @@ pub const GLOBAL_FEATURES: [Feature; 10] = [
     feature("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
 ];
 
-/// Time after which the feature of a device's last report is 1/2, TTIs.
+/// Time after which the feature of a device's last report is 1/2, TTIs. The texts above repeat both times.
 const REPORT_HALF_TTIS: f64 = 64.0;
 /// Time after which the features of sensing, and of the last report of any device, are 1/2, TTIs.
 const HALF_TTIS: f64 = 8.0;

@@ -111,7 +111,7 @@ impl ReportHistory {
         }
     }
 
-    /// Replaces the reports by the first ones of the open TTI, at least one.
+    /// Replaces the reports by the first ones of the open TTI, at least one. Call [`Self::advance`] to this TTI first.
     pub(crate) fn start_event(&mut self, reports: &[Report]) {
         self.last_reports.information.fill(0.0);
         self.last_reports.distance.fill(f64::INFINITY);

@@ -10,6 +10,8 @@
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
+//! A plan request is sent only from [`PlanDecision::next`] on, and a wake request only while a device can be woken.
+//!
 //! On the bus, `bs/src/server/policy_port/` sends the requests ([`wire`] holds the messages). In memory, the code that
 //! steps the run asks directly. A run with recorded decisions needs no requests.
 //!

@@ -1,5 +1,6 @@
 //! Messages of the policy port, between `bs/src/server/policy_port/` and a policy process
-//! (`python/reveille/policy_client.py`), in JSON or CBOR ([`Encoding`]). Field names here are names on the wire.
+//! (`python/reveille/policy_client.py`), in JSON or CBOR ([`Encoding`]). Field names here are names on the wire, which
+//! docs/policy-port.md describes.
 //!
 //! ```text
 //!   BS                                                     policy process

@@ -96,6 +96,7 @@ impl Fields {
     }
 }
 
+/// Default weights. The `derived` texts above repeat them; `beliefs/reward.rs` has the same defaults of μ1 and μ2.
 const DEFAULT_WEIGHTS: QWeights = QWeights {
     mu1: 14.0,
     mu2: 1.0,
@@ -229,8 +230,8 @@ fn warn_of_differences(reader: &FieldReader<'_>, differences: &[String]) {
 fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
     let fields = Fields::read(reader)?;
     let name = fields.table.as_deref().unwrap_or("shipped");
-    let setting = TrainingSite::from_site(site);
-    let (source, learned) = load_tables(reader, &fields, name, &setting)?;
+    let run_site = TrainingSite::from_site(site);
+    let (source, learned) = load_tables(reader, &fields, name, &run_site)?;
     if learned.is_none() && !fields.learn {
         let allowed = "needs policy.q-learning.learn = true, because the policy starts without tables; or name a table";
         return Err(reader.invalid_value("policy.q-learning.table", name, allowed));
@@ -256,7 +257,7 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
         warn_of_sleep(reader, site, &weights, &initial_tables);
     }
     if let Some(tables) = &learned {
-        warn_of_differences(reader, &tables.site.differences(&setting));
+        warn_of_differences(reader, &tables.site.differences(&run_site));
     }
     Ok(QLearningSettings {
         weights,
@@ -307,13 +308,13 @@ fn load_tables(
     reader: &FieldReader<'_>,
     fields: &Fields,
     name: &str,
-    setting: &TrainingSite,
+    run_site: &TrainingSite,
 ) -> Result<(TableSource, Option<Arc<LearnedTables>>), ScenarioError> {
     let field = "policy.q-learning.table";
     Ok(match name {
         "shipped" => (
             TableSource::Shipped,
-            Some(Arc::new(LearnedTables::shipped(setting, fields.ages))),
+            Some(Arc::new(LearnedTables::shipped(run_site, fields.ages))),
         ),
         "nothing" => (TableSource::Nothing, None),
         file => {
@@ -350,11 +351,11 @@ fn select_entry(
     {
         Lookback::Window(nearest)
     } else {
-        let setting = |lookback: &Lookback| match lookback {
+        let as_field = |lookback: &Lookback| match lookback {
             Lookback::Window(window) => format!("policy.q-learning.window = {window}"),
             Lookback::Ages => "policy.q-learning.ages = true".to_owned(),
         };
-        let trained: Vec<String> = trained.iter().map(setting).collect();
+        let trained: Vec<String> = trained.iter().map(as_field).collect();
         let allowed = format!(
             "has no tables in {name}, which has tables for {trained}; set one of these, or train others: reveille \
              train q-learning --windows {requested} --out FILE, with the same --scenario and --set",

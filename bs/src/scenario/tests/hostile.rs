@@ -6,7 +6,7 @@ use super::*;
 
 #[test]
 fn hostile_texts_are_refused_with_a_short_message() {
-    let nested = |piece: &str, end: &str| format!("{}{end}", piece.repeat(100_000));
+    let nested = |piece: &str, suffix: &str| format!("{}{suffix}", piece.repeat(100_000));
     for text in [
         nested("a.", "a = 1"),
         nested("area.", "a = 1"),
@@ -23,11 +23,12 @@ fn hostile_texts_are_refused_with_a_short_message() {
 /// Generates a preset's text with one piece replaced.
 fn mutated_preset() -> impl Strategy<Value = String> {
     let paper = load("paper", &[]).expect("a preset").scenario.to_toml();
-    let source = format!("{paper}\n[[class]]\nname = \"a\"\nshare = 1\n");
-    let length = source.chars().count();
-    (0..length, 0..12usize, "[-0-9a-z.=\"\\[\\]{}#\n _+\u{e4}]{0,8}").prop_map(move |(at, cut, new)| {
-        let head = source.chars().take(at);
-        head.chain(new.chars()).chain(source.chars().skip(at + cut)).collect()
+    let preset_text = format!("{paper}\n[[class]]\nname = \"a\"\nshare = 1\n");
+    let length = preset_text.chars().count();
+    (0..length, 0..12usize, "[-0-9a-z.=\"\\[\\]{}#\n _+\u{e4}]{0,8}").prop_map(move |(start, removed, inserted)| {
+        let kept_before = preset_text.chars().take(start);
+        let kept_after = preset_text.chars().skip(start + removed);
+        kept_before.chain(inserted.chars()).chain(kept_after).collect()
     })
 }
 

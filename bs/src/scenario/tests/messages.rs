@@ -416,14 +416,14 @@ fn former_field_names_are_accepted_with_a_warning() {
 #[test]
 fn a_former_name_next_to_the_current_one_is_refused() {
     let file = "[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n";
-    let twice = parse(file, "my.toml", Path::new(""), &[]).expect_err("two values");
+    let error = parse(file, "my.toml", Path::new(""), &[]).expect_err("two values");
     let expected = "radio.false_wake is the former name of radio.false_wake_up, and the file sets both: remove \
                     radio.false_wake; set in my.toml, line 2";
-    assert_eq!(twice.to_string(), expected);
+    assert_eq!(error.to_string(), expected);
     let option = overrides(&["radio={ false_wake = 0.1, false_wake_up = 0.2 }"]);
-    let twice = load("paper", &option).expect_err("two values").to_string();
+    let message = load("paper", &option).expect_err("two values").to_string();
     assert!(
-        twice.contains("and the option sets both: remove radio.false_wake; set by --set"),
-        "{twice}"
+        message.contains("and the option sets both: remove radio.false_wake; set by --set"),
+        "{message}"
     );
 }

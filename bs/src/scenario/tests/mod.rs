@@ -107,11 +107,11 @@ fn a_class_inherits_field_by_field() {
         &overrides(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
     );
     let classes = scenario.expect("valid").scenario.classes;
-    let both = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
-    assert_eq!(both(|energy| energy.e_tx), [3_000_000, 10_000_000]);
-    assert_eq!(both(|energy| energy.e_max), [100_000_000, 80_000_000]);
-    assert_eq!(both(|energy| energy.initial), [50_000_000, 40_000_000]);
-    assert_eq!(both(|energy| energy.e_wur), [500_000, 500_000]);
+    let micro_by_class = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
+    assert_eq!(micro_by_class(|energy| energy.e_tx), [3_000_000, 10_000_000]);
+    assert_eq!(micro_by_class(|energy| energy.e_max), [100_000_000, 80_000_000]);
+    assert_eq!(micro_by_class(|energy| energy.initial), [50_000_000, 40_000_000]);
+    assert_eq!(micro_by_class(|energy| energy.e_wur), [500_000, 500_000]);
     let Harvest::Mpp(OnOff { lambda, off_mean, .. }) = classes[1].harvest else {
         panic!("{:?}", classes[1].harvest);
     };

@@ -1,9 +1,9 @@
 //! The barrier of the run loop: waits for the answers of all hosts to a grant, for the outcome of a wake-up, or for the
 //! final ledgers.
 //!
-//! One wait is open at a time, and keeps one answer by host. An answer with impossible figures ([`Roster`]) is counted
-//! and dropped. A repeated answer replaces the first one, but of repeated reports to a grant the first one stays. A
-//! late answer, such as a duplicate after a retransmission, is dropped.
+//! One wait is open at a time, and keeps one answer by host; a new wait drops an open one. An answer with impossible
+//! figures ([`Roster`]) is counted and dropped. A repeated answer replaces the first one, but of repeated reports to a
+//! grant the first one stays. A late answer, such as a duplicate after a retransmission, is dropped.
 //! Reports and views are in the order of ids, whichever host answers first.
 
 use std::collections::BTreeMap;

@@ -7,8 +7,9 @@
 //!       ▲                                               │
 //!       └───────────────────────────────────────────────┘ leaves, or does not answer: the request is sent again
 //! ```
-//! A process that does not answer in time, or gives three invalid answers to a request, has not decided. Then the run
-//! ends, or it keeps the current plan and wakes no device ([`OnUndecided`]).
+//! After an invalid answer the process receives the request again, with the reason. A process that gives three invalid
+//! answers to a request, or none in time, has not decided. Then the run ends, or it keeps the current plan and wakes no
+//! device ([`OnUndecided`]).
 
 pub mod client;
 
@@ -92,6 +93,7 @@ pub(super) struct PendingDecision {
     fallback: Decision,
 }
 
+/// Reason why a wait ended without a reply.
 enum WaitEnd {
     /// The run is to stop.
     Stop,
@@ -115,8 +117,9 @@ enum PeerReply {
 /// The policy port of a run, from which decisions come.
 pub(super) struct PolicyPort<'a> {
     bus: &'a Bus,
-    key: Option<Secret>,
+    run_key: Option<Secret>,
     run: String,
+    /// `None` if all decisions come from the input log.
     timeout: Option<DecisionTimeout>,
     peer: Option<PolicyPeer>,
     /// The hello to policy processes, built at the first decision request.
@@ -130,10 +133,10 @@ pub(super) struct PolicyPort<'a> {
 }
 
 impl<'a> PolicyPort<'a> {
-    pub(super) fn new(bus: &'a Bus, key: Option<Secret>, timeout: Option<DecisionTimeout>) -> Self {
+    pub(super) fn new(bus: &'a Bus, run_key: Option<Secret>, timeout: Option<DecisionTimeout>) -> Self {
         Self {
             bus,
-            key,
+            run_key,
             run: bus.key_exprs().run().to_string(),
             timeout,
             peer: None,
@@ -365,7 +368,7 @@ impl<'a> PolicyPort<'a> {
     }
 
     fn shows_run_key(&self, shown: &str) -> bool {
-        self.key.is_none_or(|key| shown.parse() == Ok(key))
+        self.run_key.is_none_or(|key| shown.parse() == Ok(key))
     }
 
     /// Whether an answer shows this process id and the run's key.

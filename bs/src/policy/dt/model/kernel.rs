@@ -108,12 +108,12 @@ impl Linear {
     /// Computes `out = x · weight + bias` for each row of `x`, `[rows, inputs]`; `out` is `[rows, outputs]`.
     #[inline(always)]
     pub(super) fn apply(&self, x: &[f32], out: &mut [f32]) {
-        let all = |columns| ColumnSlice {
+        let full = |columns| ColumnSlice {
             start: 0,
             width: columns,
             stride: columns,
         };
-        multiply(&self.weight, &self.bias, x, all(self.inputs), out, all(self.outputs));
+        multiply(&self.weight, &self.bias, x, full(self.inputs), out, full(self.outputs));
     }
 }
 
@@ -144,8 +144,8 @@ fn multiply(
     for (x, out) in xs.by_ref().zip(outs.by_ref()) {
         multiply_rows::<BLOCK_ROWS>(weight, bias, x, x_columns, out, out_columns);
     }
-    let rest = xs.remainder().chunks_exact(x_columns.stride);
-    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(out_columns.stride)) {
+    let last_rows = xs.remainder().chunks_exact(x_columns.stride);
+    for (x, out) in last_rows.zip(outs.into_remainder().chunks_exact_mut(out_columns.stride)) {
         multiply_rows::<1>(weight, bias, x, x_columns, out, out_columns);
     }
 }
@@ -177,8 +177,8 @@ fn multiply_rows<const R: usize>(
         for (sums, out) in sums.iter().zip(out.chunks_exact_mut(out_columns.stride)) {
             let out = &mut out[out_columns.start..][..out_columns.width][start..];
             // The last tile is wider than the remaining outputs.
-            if let Some(whole) = out.first_chunk_mut() {
-                *whole = *sums;
+            if let Some(full_tile) = out.first_chunk_mut() {
+                *full_tile = *sums;
             } else {
                 out.copy_from_slice(&sums[..out.len()]);
             }
@@ -356,7 +356,7 @@ pub(super) fn exp(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn softmax(scores: &mut [f32], width: usize, known_count: usize) {
     for row in scores.chunks_exact_mut(width) {
-        let (known, rest) = row.split_at_mut(known_count);
+        let (known, unknown) = row.split_at_mut(known_count);
         // Exponents relative to the largest score stay within the range of `exp`.
         let mut max_score = f32::NEG_INFINITY;
         for score in known.iter() {
@@ -366,7 +366,7 @@ pub(super) fn softmax(scores: &mut [f32], width: usize, known_count: usize) {
             *score -= max_score;
         }
         // `exp` turns these into 0 in the same vector loop.
-        rest.fill(f32::NEG_INFINITY);
+        unknown.fill(f32::NEG_INFINITY);
     }
     for score in scores.iter_mut() {
         *score = exp(*score);

@@ -1,7 +1,8 @@
 //! The transformer of the policy `dt`: its shape ([`ModelShape`]), its [`weights`] with their file, and its inference
 //! ([`infer`], with the arithmetic in `kernel`). `lab/src/transformer/` trains it. The names and sizes of the tensors
-//! ([`ModelShape::tensors`]) are the format of the weights file, such as `../shipped.safetensors`. In the code, a
-//! *target* is the share of new events to detect in their first TTI, and the *price* is the price θ of a TTI in S1.
+//! ([`ModelShape::tensors`]) are the format of the weights file, such as `../shipped.safetensors`; `weights` and
+//! `lab/src/transformer/net.rs` repeat the names. In the code, a *target* is the share of new events to detect in their
+//! first TTI, and the *price* is the price θ of a TTI in S1.
 
 pub mod infer;
 mod kernel;

@@ -28,14 +28,14 @@ fn random_tensors(shape: ModelShape) -> Tensors {
 
 /// Returns a model file with `tensors`.
 fn model_file(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
-    let data: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
+    let tensor_bytes: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
         .iter()
         .map(|(name, (size, values))| {
             let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
             (*name, size.clone(), bytes)
         })
         .collect();
-    let views = data.iter().map(|(name, size, bytes)| {
+    let views = tensor_bytes.iter().map(|(name, size, bytes)| {
         (
             *name,
             TensorView::new(Dtype::F32, size.clone(), bytes).expect("a tensor"),
@@ -293,8 +293,8 @@ fn a_step_equals_the_reference_model() {
 fn the_shipped_model_contains_no_path_of_a_machine() {
     let bytes = include_bytes!("../shipped.safetensors");
     // A safetensors file: the length of the header in eight bytes, then the header.
-    let (length, rest) = bytes.split_first_chunk().expect("a length");
-    let header = &rest[..u64::from_le_bytes(*length) as usize];
+    let (length, after_length) = bytes.split_first_chunk().expect("a length");
+    let header = &after_length[..u64::from_le_bytes(*length) as usize];
     let text = std::str::from_utf8(header).expect("a text");
     for path in ["\"/", "= \"/", "/tmp", "/home", "/root", "/work", "/Users"] {
         assert!(!text.contains(path), "the header contains {path}");

@@ -21,7 +21,7 @@ pub const FORMAT_VERSION: &str = "1";
 pub const METADATA_KEY: &str = "reveille.dt";
 
 /// Keys of that object, in addition to the description of the training.
-mod keys {
+mod metadata_keys {
     /// See [`super::FORMAT_VERSION`].
     pub(super) const VERSION: &str = "version";
     /// The features of a token, joined by commas.
@@ -148,6 +148,7 @@ impl ModelWeights {
         Self::assemble(shape, tensors, BTreeMap::new(), Sha256::digest(text).into())
     }
 
+    /// Assembles the layers from `tensors`, whose names and sizes [`ModelShape::tensors`] lists.
     fn assemble(shape: ModelShape, mut tensors: Tensors, metadata: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
         let (d, wide) = (shape.width, EXPANSION * shape.width);
         let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
@@ -238,26 +239,26 @@ pub fn encode_metadata(shape: ModelShape, training: &BTreeMap<String, String>) -
         objective,
     } = shape;
     let entries = [
-        (keys::VERSION, FORMAT_VERSION.to_owned()),
-        (keys::FEATURES, FEATURES.join(",")),
+        (metadata_keys::VERSION, FORMAT_VERSION.to_owned()),
+        (metadata_keys::FEATURES, FEATURES.join(",")),
         (
-            keys::SHAPE,
+            metadata_keys::SHAPE,
             format!("{memory},{width},{heads},{}", u8::from(attends_to_devices)),
         ),
-        (keys::OBJECTIVE, objective.name().to_owned()),
+        (metadata_keys::OBJECTIVE, objective.name().to_owned()),
     ];
     let entries = entries.map(|(key, value)| (key.to_owned(), value));
     // These entries last, so that no key of `training` replaces them.
-    let all: BTreeMap<String, String> = training.clone().into_iter().chain(entries).collect();
-    serde_json::to_string(&all).expect("texts can be written")
+    let metadata: BTreeMap<String, String> = training.clone().into_iter().chain(entries).collect();
+    serde_json::to_string(&metadata).expect("texts can be written")
 }
 
 fn decode_shape(metadata: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
     let found = |key: &'static str| metadata.get(key).map_or("nothing", String::as_str);
     // Weights of the embedding belong to features by position, so the list must be the same.
     for (key, wanted) in [
-        (keys::VERSION, FORMAT_VERSION.to_owned()),
-        (keys::FEATURES, FEATURES.join(",")),
+        (metadata_keys::VERSION, FORMAT_VERSION.to_owned()),
+        (metadata_keys::FEATURES, FEATURES.join(",")),
     ] {
         if found(key) != wanted {
             return Err(ModelError::Foreign {
@@ -267,23 +268,23 @@ fn decode_shape(metadata: &BTreeMap<String, String>) -> Result<ModelShape, Model
             });
         }
     }
-    let named = |objective: &ModelObjective| objective.name() == found(keys::OBJECTIVE);
-    let Some(objective) = ModelObjective::ALL.into_iter().find(named) else {
+    let is_found = |objective: &ModelObjective| objective.name() == found(metadata_keys::OBJECTIVE);
+    let Some(objective) = ModelObjective::ALL.into_iter().find(is_found) else {
         return Err(ModelError::Foreign {
-            key: keys::OBJECTIVE,
-            found: found(keys::OBJECTIVE).to_owned(),
+            key: metadata_keys::OBJECTIVE,
+            found: found(metadata_keys::OBJECTIVE).to_owned(),
             wanted: ModelObjective::ALL.map(ModelObjective::name).join(" or "),
         });
     };
     let foreign = || ModelError::Foreign {
-        key: keys::SHAPE,
-        found: found(keys::SHAPE).to_owned(),
+        key: metadata_keys::SHAPE,
+        found: found(metadata_keys::SHAPE).to_owned(),
         wanted: format!(
             "Z from 1 to {MAX_MEMORY}, d up to {MAX_WIDTH} and a multiple of 4 times the heads, up to {MAX_HEADS} \
              heads, and 0 or 1"
         ),
     };
-    let numbers: Vec<usize> = found(keys::SHAPE)
+    let numbers: Vec<usize> = found(metadata_keys::SHAPE)
         .split(',')
         .filter_map(|number| number.parse().ok())
         .collect();

@@ -8,7 +8,7 @@ use super::traits::{Gain, PASS_MIN_BUCKETS};
 use crate::beliefs::coverage::{CellPosition, Coverage};
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, area_bucket};
 
-/// Low bits of a key that hold the device id.
+/// Low bits of a key that hold the device id, enough for `MAX_DEVICES`.
 const ID_BITS: u32 = 24;
 const MAX_ID: u32 = (1 << ID_BITS) - 1;
 

@@ -183,9 +183,9 @@ impl DutyLearner {
                 [decision.level, level_after].map(|level| value_at(&self.values, level, energy));
             let (battery, area) = (usize::from(battery), usize::from(area));
             let outcome = reward + zeta * value_after;
-            let whole_q = self.table.outcome_mut(battery, area, is_sensing);
-            whole_q.learn(outcome, self.rates);
-            let whole_q = whole_q.value;
+            let outcome_cell = self.table.outcome_mut(battery, area, is_sensing);
+            outcome_cell.learn(outcome, self.rates);
+            let whole_q = outcome_cell.value;
             // The subtracted value is the same for both actions and would hide their difference while V is still being
             // learned.
             self.table

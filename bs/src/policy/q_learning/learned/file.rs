@@ -99,6 +99,7 @@ const BODY_START: &str = ",\"body\":";
 /// Text at which the entries, the last field of the body, begin.
 const ENTRIES_START: &str = ",\"entries\":[";
 
+/// The body of a file: [`LearnedTables`], whose site is called `setting` there.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FileBody {

@@ -214,8 +214,8 @@ impl DutyTable {
     }
 
     pub(super) fn has_valid_size(&self) -> bool {
-        let cells = BATTERY_BUCKETS * AREA_BUCKETS * 2;
-        self.q.len() == cells && self.outcomes.len() == cells && self.value.len() == VALUE_NODES
+        let cell_count = BATTERY_BUCKETS * AREA_BUCKETS * 2;
+        self.q.len() == cell_count && self.outcomes.len() == cell_count && self.value.len() == VALUE_NODES
     }
 
     pub(super) fn round(&mut self) {
@@ -237,11 +237,11 @@ fn make_monotone(values: &mut [f64], weights: &[f64]) {
         }
         blocks.push(block);
     }
-    let mut rest = values;
+    let mut remaining = values;
     for (mean, _, length) in blocks {
-        let (block, after) = rest.split_at_mut(length);
+        let (block, after) = remaining.split_at_mut(length);
         block.fill(mean);
-        rest = after;
+        remaining = after;
     }
 }
 
@@ -343,8 +343,8 @@ pub fn score_bucket(share: f64) -> usize {
         .count()
 }
 
-/// Returns the start of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other at 1/√2 of
-/// the start of the next; the last ends at 1.
+/// Returns the start, not the end, of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other
+/// at 1/√2 of the start of the next; the last ends at 1.
 pub fn score_edge(bucket: usize) -> f64 {
     if bucket == 0 {
         return 0.0;
