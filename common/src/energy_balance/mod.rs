@@ -1,12 +1,13 @@
 //! The energy balance of a scenario before it runs: expected harvest against the costs of sensing, sleeping and
 //! reporting, by device class, and the part of the area out of reach.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use crate::deployment::Deployment;
 use crate::digits::format_significant;
 use crate::geometry::share_out_of_reach;
-use crate::harvest::HarvestSetup;
+use crate::harvest::{HarvestGap, HarvestSetup};
 use crate::scenario::{DeviceClass, Scenario};
 
 /// Ratio of harvest to consumption from which energy does not limit a run.
@@ -46,9 +47,9 @@ pub struct ClassBalance {
     pub report_cost: f64,
     /// Battery capacity E_max, units.
     pub capacity: f64,
-    /// The longest stretch of the run in which some device of the class harvests nothing, TTIs; `None` if energy can
-    /// arrive in any TTI.
-    pub longest_gap: Option<u64>,
+    /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones; `None`
+    /// if energy can arrive in any TTI.
+    pub longest_gap: Option<HarvestGap>,
 }
 
 /// Expected harvest of a group of devices, units per TTI, overflow included.
@@ -113,7 +114,7 @@ impl EnergyBalance {
                 longest_gap: groups
                     .range((index, 0)..=(index, u32::MAX))
                     .filter_map(|(_, (setup, _))| setup.longest_gap(&deployment.traces, ttis))
-                    .max(),
+                    .max_by_key(|gap| (gap.ttis, Reverse(gap.first))),
             })
         };
         let mut tti_seconds: Vec<f64> = scenario
@@ -192,7 +193,7 @@ impl ClassBalance {
     /// The expected consumption of sleeping through [`Self::longest_gap`], in full batteries.
     pub fn batteries_of_longest_gap(&self) -> Option<f64> {
         self.longest_gap
-            .map(|gap| gap as f64 * self.sleeping_cost / self.capacity)
+            .map(|gap| gap.ttis as f64 * self.sleeping_cost / self.capacity)
     }
 
     /// The number of actions of this `cost` in units that a full battery pays without harvest; `None` if it is

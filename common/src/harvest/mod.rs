@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 pub use self::arrivals::{Arrivals, ArrivalsSetup};
 pub use self::day_profile::DayProfile;
 pub use self::diurnal::{DayKnowledge, Diurnal, DiurnalSetup, IrradianceReference};
+pub use self::gap::HarvestGap;
 pub use self::on_off::{OnOff, OnOffSetup};
 pub use self::panel::Panel;
 pub use self::shared_tables::SharedSourceData;
@@ -243,9 +244,9 @@ impl HarvestSetup {
         micro_per_tti / MICRO_PER_UNIT as f64
     }
 
-    /// The longest stretch in the first `ttis` TTIs of a run without harvest, TTIs; `None` for sources whose energy can
-    /// arrive in any TTI. Exact for a trace; of a diurnal source the longest night.
-    pub fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Option<u64> {
+    /// The longest gap in the first `ttis` TTIs of a run; `None` for sources whose energy can arrive in any TTI. Exact
+    /// for a trace; of a diurnal source the longest night.
+    pub fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Option<HarvestGap> {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => None,
             Self::Trace(trace) => Some(trace.longest_gap(traces, ttis)),

@@ -82,14 +82,18 @@ fn format_longest_gap(class: &ClassBalance, balance: &EnergyBalance) -> Vec<Stri
     let (Some(gap), Some(batteries)) = (class.longest_gap, class.batteries_of_longest_gap()) else {
         return Vec::new();
     };
-    let ttis = count_noun(gap as usize, "TTI");
+    let ttis = count_noun(gap.ttis as usize, "TTI");
     let meaning = if batteries > 1.0 {
         ": every device loses power"
     } else {
         ""
     };
     vec![
-        format!("  longest gap     {ttis}{} without harvest", format_span(balance, gap)),
+        format!(
+            "  longest gap     {ttis}{} without harvest, from TTI {}",
+            format_span(balance, gap.ttis),
+            gap.first
+        ),
         format!(
             "{:18}sleeping through it takes {} full batteries{meaning}",
             "",

@@ -186,7 +186,12 @@ fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) ->
     if !is_chosen(args, front::NAME) {
         return Ok(());
     }
-    for front in front::draw_fronts(conditions) {
+    let fronts = front::draw_fronts(conditions);
+    // Without a request, sweeps that vary no setting of a policy draw none and need no note.
+    if fronts.is_empty() && !args.only.is_empty() {
+        note!("{}: not drawn, as no policy has several settings at one N", front::NAME);
+    }
+    for front in fronts {
         let mut name = format!("{}-{label}", front::NAME);
         for (field, value) in &front.other_changes {
             name = format!("{name}-{field}-{value}");

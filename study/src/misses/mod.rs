@@ -20,7 +20,7 @@ pub use advice::{Advice, RunEnergy};
 /// Name of the cause of events whose table has no causes.
 pub const UNKNOWN_CAUSE: &str = "unknown";
 /// Most columns and rows of a [`MissMap`].
-const MAP_COLUMNS: usize = 10;
+const MAP_COLUMNS: usize = 16;
 const MAP_ROWS: usize = 16;
 
 /// A missed event.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
 use super::day_profile::DayProfile;
-use super::gap::longest_gap;
+use super::gap::{HarvestGap, longest_gap};
 use super::shared_tables::{CumulativeHazard, SharedSourceData, expected_energy};
 use super::sun::{Sky, Sun};
 use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, choice, choices, number, whole};
@@ -240,7 +240,7 @@ impl DiurnalSetup {
     }
 
     /// The longest night of the first `ttis` TTIs: TTIs in which no energy can arrive.
-    pub(super) fn longest_gap(&self, ttis: u64) -> u64 {
+    pub(super) fn longest_gap(&self, ttis: u64) -> HarvestGap {
         let by_tti: Vec<f64> = self.sun.arrival_probabilities(self.zenith_probability).collect();
         let is_dark = |p: &f64| *p <= 0.0 || self.e_b == Energy::ZERO;
         longest_gap(by_tti.iter().map(|p| (is_dark(p), 1)), false, ttis)

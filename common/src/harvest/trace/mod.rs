@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::gap::longest_gap;
+use super::gap::{HarvestGap, longest_gap};
 use super::panel::{self, Panel};
 use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::choices;
@@ -363,8 +363,8 @@ impl TraceSetup {
         (cycles * sum(rows) + sum(&rows[..row])) * per_row + in_row
     }
 
-    /// The longest stretch of the first `ttis` TTIs in rows without energy, TTIs.
-    pub(super) fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> u64 {
+    /// The longest gap of the first `ttis` TTIs, in rows without energy.
+    pub(super) fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> HarvestGap {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
         let parts = rows.iter().map(|energy| (*energy == Energy::ZERO, self.ttis_per_row));
         longest_gap(parts, self.end == TraceEnd::Stop, ttis)
