@@ -7,8 +7,8 @@
 //! | `runs.journal` | a line for every finished run, from which an interrupted sweep resumes |
 //! | `results.parquet` or `results.csv` | the table, once all runs are complete |
 //!
-//! `docs/results.md` lists these files too. The number of seeds in the journal's first line is authoritative. To raise
-//! it, the journal changes first; then the table of fewer seeds is removed, and `experiment.toml` is written. An
+//! `docs/results.md` shows the folder to users. The number of seeds in the journal's first line is authoritative. To
+//! raise it, the journal changes first; then the table of fewer seeds is removed, and `experiment.toml` is written. An
 //! interruption in between leaves a folder that can be resumed.
 
 use std::collections::BTreeMap;
