@@ -28,7 +28,8 @@ const MAX_CACHED_PILOT_SEARCHES: usize = 1024;
 #[derive(Debug, Default)]
 pub struct RunPreparer {
     bounds_cache: Arc<BoundsCache>,
-    /// The search results by the hash of the pilot scenario: runs that only differ in length share a search.
+    /// The search results by the hash of the pilot scenario: runs that differ only in length or warm-up
+    /// share a search.
     searches: Mutex<VecDeque<([u8; 32], SearchOutcome)>>,
 }
 

@@ -75,7 +75,8 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// A run in memory that follows another run.
+/// A run in memory that follows another run. A decision of a TTI must be added before a call advances past that TTI;
+/// the call panics otherwise.
 pub struct Replay {
     prepared: PreparedRun,
     run: Run,

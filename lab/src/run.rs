@@ -88,7 +88,8 @@ impl Run {
         }
     }
 
-    /// Queues an external input. Removals and decisions are queued in the order in which they take effect.
+    /// Queues an external input. Removals and decisions are queued in the order in which they take effect, and none for
+    /// a past TTI: it would stay in the queue and block all later ones of its kind.
     pub fn schedule_input(&mut self, input: ExternalInput) {
         let queue = self.session.input_queue_mut();
         match input {
@@ -143,19 +144,25 @@ impl Run {
         &self.session
     }
 
-    /// Runs to the end, or until `observer` ends the run.
+    /// Runs to the end, or until `observer` ends the run or a plan is missing.
+    ///
+    /// # Panics
+    /// If an external policy has to decide a wake-up and no decision is queued.
     pub fn finish(mut self, observer: &mut impl Observer) -> RunOutcome {
         self.advance(Tti::NEVER, observer);
         self.finish_session(observer)
     }
 
     /// Returns the ledgers of `count` devices from `first` on, before the next TTI.
+    ///
+    /// # Panics
+    /// If one of the devices does not exist.
     pub fn ledgers(&mut self, first: DeviceId, count: u32) -> Vec<Ledger> {
-        let end = self.session.next_tti();
+        let next = self.session.next_tti();
         let machines = &mut self.devices.machines[first.index()..][..count as usize];
         machines
             .iter_mut()
-            .map(|machine| advanced_to(machine, end).ledger())
+            .map(|machine| advanced_to(machine, next).ledger())
             .collect()
     }
 
@@ -171,6 +178,9 @@ impl Run {
     }
 
     /// Ends the run before the next TTI and returns its outcome.
+    ///
+    /// # Panics
+    /// If a TTI is open, because a wake-up decision is missing.
     pub fn partial_outcome(self) -> RunOutcome {
         self.finish_session(&mut ())
     }
@@ -181,6 +191,9 @@ impl Run {
     }
 
     /// Returns checkpoints of `count` devices from `first` on, with which another process can resume.
+    ///
+    /// # Panics
+    /// If one of the devices does not exist.
     pub fn checkpoints(&self, first: DeviceId, count: u32) -> Vec<DeviceCheckpoint> {
         let machines = &self.devices.machines[first.index()..][..count as usize];
         machines.iter().map(Machine::checkpoint).collect()
@@ -199,7 +212,7 @@ impl Run {
         (self.session, checkpoint)
     }
 
-    /// Runs through one grant with its reports and wake-ups, or until a decision is missing.
+    /// Runs through one grant with its reports and wake-ups, or until a decision is missing or the run ends.
     pub fn run_grant(&mut self, observer: &mut impl Observer) {
         let first = self.session.next_tti();
         // The last TTI of a grant stays open until its wake-ups have been answered.

@@ -32,7 +32,8 @@ pub fn run_built_in(policy: &str, fields: &[&str]) -> (CommandTranscript, String
     (transcript, digest.to_string())
 }
 
-/// Entry of an action mask for a device that can still be woken; other devices have 0.
+/// Entry of an action mask for a device that can still be woken, as `write_mask` in
+/// `bs/src/policy/external/features.rs` writes it; other devices have 0.
 pub const MAY_WAKE: u8 = 2;
 
 /// Looks up the answer to a decision request in `transcript`.
@@ -126,7 +127,7 @@ impl ExternallyDecidedRun {
     }
 }
 
-/// A policy process that misbehaves.
+/// A policy process that misbehaves. It sends `OLDEST_PROTOCOL` of `bs/src/policy/external/wire.rs`.
 pub struct MisbehavingPolicy {
     bus: Bus,
     key: String,

@@ -122,9 +122,9 @@ impl TestFolder {
     ///
     /// # Panics
     /// If the command fails.
-    pub fn clock(&self, run: &str, action: &str) -> String {
-        let clock = self.run(&format!("clock --run {run} {action}"));
-        assert!(clock.is_success(), "clock {action}: {clock}");
+    pub fn clock(&self, run: &str, command: &str) -> String {
+        let clock = self.run(&format!("clock --run {run} {command}"));
+        assert!(clock.is_success(), "clock {command}: {clock}");
         clock.stdout
     }
 
@@ -155,7 +155,8 @@ impl TestFolder {
         });
     }
 
-    /// Starts a base station with a run of 30 devices and 400 TTIs, and waits until device processes can join.
+    /// Starts a base station with the run of `SHORT_RUN` in `external_policy.rs`, and waits until device processes can
+    /// join.
     pub fn start_waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
         let bs = self.start(&format!("bs -n 30 -k 400 --run {run} --listen {endpoint} {args}"));
         bs.wait_for_stderr("waiting for 30 devices");

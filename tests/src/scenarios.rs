@@ -115,7 +115,7 @@ pub fn any_policy() -> impl Strategy<Value = String> {
 }
 
 /// Generates a small scenario with a perfect radio and so much energy that no device ever lacks it.
-pub fn rich() -> impl Strategy<Value = String> {
+pub fn with_ample_energy() -> impl Strategy<Value = String> {
     (run_fields(), deployment(), events(), policy()).prop_map(|(run, deployment, events, policy)| {
         format!("{run}{deployment}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
     })

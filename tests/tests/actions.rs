@@ -165,9 +165,9 @@ fn failed_devices_report_nothing_and_charge() {
         assert!(whole.overflow > Energy::ZERO, "{whole:?}");
     }
     let second_fail = [actions[0], action(900, Change::Fail(first_devices(3))), actions[1]];
-    let (again, ..) = run(&scenario, &second_fail, RunOptions::default());
+    let (failed_twice, ..) = run(&scenario, &second_fail, RunOptions::default());
     assert_eq!(
-        again.devices, outcome.devices,
+        failed_twice.devices, outcome.devices,
         "a failed device that fails again stays as it is"
     );
 }
@@ -202,10 +202,10 @@ fn energy_counts_as_harvest_and_settings_change_the_run() {
         events_at_first_rate.len()
     );
     // The price is high from TTI 1000 on: devices sense less.
-    let rich = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0.5"]);
-    let cheap = run(&rich, &[], RunOptions::default()).0;
+    let with_usual_harvest = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0.5"]);
+    let cheap = run(&with_usual_harvest, &[], RunOptions::default()).0;
     let dear = run(
-        &rich,
+        &with_usual_harvest,
         &[action(1000, Change::Set(Setting::Price, 5.0))],
         RunOptions::default(),
     )

@@ -53,7 +53,7 @@ proptest! {
     #![proptest_config(Config { cases: 150, failure_persistence: None, ..Config::default() })]
 
     #[test]
-    fn transitions_equal_the_transitions_of_the_reference(text in scenarios::rich()) {
+    fn transitions_equal_the_transitions_of_the_reference(text in scenarios::with_ample_energy()) {
         let scenario = scenarios::scenario(&text);
         let expected = reference::simulate(&scenario);
         if expected.ambiguous.is_some() {

@@ -78,9 +78,9 @@ fn digest_with_decisions(
             }
             DecisionStage::Wake => {
                 let wake_ups = transcript.wake_ups_in(k);
-                let end = wake_ups.len().min(answered_wake_ups.saturating_add(max_wake_ups));
-                run.wake(&wake_ups[answered_wake_ups..end]);
-                answered_wake_ups = end;
+                let answered_before = answered_wake_ups;
+                answered_wake_ups = wake_ups.len().min(answered_before.saturating_add(max_wake_ups));
+                run.wake(&wake_ups[answered_before..answered_wake_ups]);
             }
         }
     }
@@ -298,7 +298,7 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
         }
         let digest = run.finish().0.digest;
         let prepared = PreparedRun::without_pilots(&scenario);
-        let end = Tti(scenario.run.ttis);
+        let run_end = Tti(scenario.run.ttis);
         let is_wake_decision =
             |index: usize| decisions.get(index).map(|recorded| recorded.decision.stage()) == Some(DecisionStage::Wake);
         assert!((0..decisions.len()).filter(|index| is_wake_decision(*index)).count() > 20);
@@ -308,7 +308,7 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
                 decisions: decisions[..length].to_vec(),
                 ..ExternalInputs::default()
             });
-            let has_ended = run.advance(end, &mut ());
+            let has_ended = run.advance(run_end, &mut ());
             let missing_tti = decisions.get(length).map(|recorded| recorded.tti);
             assert_eq!(
                 (run.missing_decision(), has_ended),

@@ -18,6 +18,7 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::scenarios::paper;
 
+const DEVICES: u32 = 60;
 /// Length of a window, TTIs.
 const WINDOW: u64 = 7;
 
@@ -51,7 +52,7 @@ impl Observer for RunRecorder {
 
 fn prepared(policy: &str) -> PreparedRun {
     prepare(&paper(&[
-        "devices=60",
+        &format!("devices={DEVICES}"),
         "ttis=500",
         "radio.plan_loss=0.2",
         "radio.uplink_loss=0.2",
@@ -223,7 +224,7 @@ fn a_host_lost_during_a_wake_up_equals_a_scheduled_removal() {
     let pair = recorder.0.windows(2).find(|pair| pair[0].0 == pair[1].0);
     let (tti, device) = pair.expect("a TTI with two wake-ups")[1];
     let loss = HostLoss {
-        first: DeviceId(device.0.saturating_sub(2).min(60 - 4)),
+        first: DeviceId(device.0.saturating_sub(2).min(DEVICES - 4)),
         count: 4,
         tti,
         wake_up: 1,

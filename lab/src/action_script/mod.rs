@@ -10,6 +10,7 @@
 //! ```
 //! A script becomes the same external inputs in every run of a scenario, in memory and over the bus: random times
 //! follow from the seed of the scenario, the line number and the device. `docs/actions.md` explains the forms.
+//! `reveille clock` parses its arguments with the same functions.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -149,12 +150,12 @@ fn number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
 fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {
     let whole = |word: &str| number::<u64>(word, "a whole number of TTIs, such as 600");
     let (times, action) = match words {
-        ["from", from, "to", to, "every", every, rest @ ..] => {
-            (repeated(whole(from)?, Some(whole(to)?), whole(every)?), rest)
+        ["from", from, "to", to, "every", every, action @ ..] => {
+            (repeated(whole(from)?, Some(whole(to)?), whole(every)?), action)
         }
-        ["from", from, "every", every, rest @ ..] => (repeated(whole(from)?, None, whole(every)?), rest),
+        ["from", from, "every", every, action @ ..] => (repeated(whole(from)?, None, whole(every)?), action),
         ["from", ..] => return Err(format!("incomplete repetition; {FORMS}")),
-        [tti, rest @ ..] => (Times::Once(number(tti, "the TTI of the action, or `from`")?), rest),
+        [tti, action @ ..] => (Times::Once(number(tti, "the TTI of the action, or `from`")?), action),
         [] => return Err(FORMS.to_owned()),
     };
     let (times, action) = match (times, action) {
@@ -227,7 +228,7 @@ impl ScriptLine {
                 let changes = self.changes.iter();
                 changes
                     .into_iter()
-                    .try_for_each(|change| self.add(actions, tti, *change, ttis))
+                    .try_for_each(|change| self.add_change(actions, tti, *change, ttis))
             }
             Times::Repeated {
                 from,
@@ -250,14 +251,14 @@ impl ScriptLine {
                         "`every` {every} must be longer than the failure; use a larger number"
                     ));
                 }
-                let end = to.unwrap_or(ttis).min(ttis);
+                let before = to.unwrap_or(ttis).min(ttis);
                 if at_random {
-                    return self.add_at_random(actions, (from, end, every - duration), every, line, scenario);
+                    return self.add_at_random(actions, (from, before, every - duration), every, line, scenario);
                 }
-                let mut starts = (from..end).step_by(usize::try_from(every).unwrap_or(usize::MAX));
+                let mut starts = (from..before).step_by(usize::try_from(every).unwrap_or(usize::MAX));
                 starts.try_for_each(|tti| {
                     let mut changes = self.changes.iter();
-                    changes.try_for_each(|change| self.add(actions, tti, *change, ttis))
+                    changes.try_for_each(|change| self.add_change(actions, tti, *change, ttis))
                 })
             }
         }
@@ -268,7 +269,7 @@ impl ScriptLine {
     fn add_at_random(
         &self,
         actions: &mut Vec<OperatorAction>,
-        (from, end, slack): (u64, u64, u64),
+        (from, before, slack): (u64, u64, u64),
         every: u64,
         line: u64,
         scenario: &Scenario,
@@ -285,10 +286,10 @@ impl ScriptLine {
                 let change = change.with_devices(one);
                 let id = line << 32 | u64::from(device.0);
                 let mut stream = Stream::new(scenario.run.seed, Purpose::Actions, id);
-                for start in (from..end).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
+                for start in (from..before).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
                     let tti = start.saturating_add(stream.below(slack + 1));
-                    if tti < end {
-                        self.add(actions, tti, change, scenario.run.ttis)?;
+                    if tti < before {
+                        self.add_change(actions, tti, change, scenario.run.ttis)?;
                     }
                 }
             }
@@ -297,7 +298,7 @@ impl ScriptLine {
     }
 
     /// Appends `change` in TTI `tti`, and the revival after a failure that lasts.
-    fn add(&self, actions: &mut Vec<OperatorAction>, tti: u64, change: Change, ttis: u64) -> Result<(), String> {
+    fn add_change(&self, actions: &mut Vec<OperatorAction>, tti: u64, change: Change, ttis: u64) -> Result<(), String> {
         if actions.len() >= MAX_ACTIONS {
             return Err(format!(
                 "the script has more than {MAX_ACTIONS} actions; use longer periods or fewer devices"

@@ -1,10 +1,11 @@
-//! The external inputs of a run as text, the input log (a replay log): a line that names the run, then
-//! one line for each input. Inputs of a kind are in order of arrival.
+//! The external inputs of a run as text, the input log (a replay log): a line that names the run, then one line for
+//! each input. Inputs of a kind are in order of arrival.
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, decisions of a policy
 //! process, and actions of operators. They and the scenario determine the run: replays and resumed runs read them from
-//! `inputs.log`. A change of the lines needs a new `VERSION`. Logs of version 1, which has only removals, and of
-//! version 2, which has no actions, must still be read. A resumed run appends its actions to such a log.
+//! `inputs.log`. A change of the lines needs a new `VERSION`; `docs/external-policies.md` shows some. Logs of version
+//! 1, which has only removals, and of version 2, which has no actions, must still be read. A resumed run appends its
+//! actions to such a log.
 
 #[cfg(test)]
 mod tests;

@@ -135,10 +135,10 @@ fn a_log_round_trips_up_to_its_last_complete_line() {
     let scenario = load("quick", &[]).expect("a preset").scenario;
     let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
     for piece_bytes in [1, 7, 60, 4000] {
-        let (mut parser, mut read, mut end) = (InputLogParser::default(), 0, 0);
+        let (mut parser, mut read, mut available) = (InputLogParser::default(), 0, 0);
         while read < text.len() {
-            end = text.len().min(end + piece_bytes);
-            read += parser.read(&text[read..end], &scenario).expect("a log");
+            available = text.len().min(available + piece_bytes);
+            read += parser.read(&text[read..available], &scenario).expect("a log");
         }
         assert_eq!(parser.inputs(), &inputs, "{piece_bytes} bytes at a time");
     }

@@ -1,6 +1,5 @@
-//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and, where there is
-//! one, the fix. Outside tests, no
-//! code reads the texts.
+//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and, if known, the fix. Outside
+//! tests, no code reads the texts.
 
 use std::any::Any;
 use std::fmt::Display;

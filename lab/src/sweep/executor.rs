@@ -35,7 +35,7 @@ pub trait SweepProgress: Sync {
 /// The result of a cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellSummary {
-    /// The number of the cell's runs that count.
+    /// The number of the cell's runs that count, in all shards.
     pub runs: u64,
     /// The metric with the widest relative interval and that width, with `until_ci`; `None` if no metric is defined.
     pub widest: Option<(String, f64)>,
@@ -119,7 +119,7 @@ fn execute_wave(
             cell: cell as u32,
             seed: seed as u32,
         });
-        missing.extend(shard_runs.filter(|job| !journal.runs().contains_key(job)));
+        missing.extend(shard_runs.filter(|run_index| !journal.runs().contains_key(run_index)));
         observer.planned(cell, (missing.len() - before) as u64);
     }
     let journal = Mutex::new(journal);
@@ -128,13 +128,13 @@ fn execute_wave(
             .into_iter()
             // Runs are handed out one by one, so cells start in order and no thread gets all long runs.
             .par_bridge()
-            .try_for_each(|job| match execute_run(grid, job, preparer, observer) {
+            .try_for_each(|run_index| match execute_run(grid, run_index, preparer, observer) {
                 None => Err(WaveEnd::Stopped),
                 Some(entry) => {
-                    let device_ttis = grid.cells[job.cell as usize].device_ttis();
+                    let device_ttis = grid.cells[run_index.cell as usize].device_ttis();
                     let mut journal = journal.lock().unwrap_or_else(PoisonError::into_inner);
-                    journal.add(job, entry, device_ttis).map_err(WaveEnd::Failed)?;
-                    observer.finished(job.cell as usize);
+                    journal.add(run_index, entry, device_ttis).map_err(WaveEnd::Failed)?;
+                    observer.finished(run_index.cell as usize);
                     Ok(())
                 }
             })
@@ -157,16 +157,16 @@ enum WaveEnd {
 /// Executes one run. Returns `None` if it was stopped.
 fn execute_run(
     grid: &SweepGrid,
-    job: RunIndex,
+    run_index: RunIndex,
     preparer: &RunPreparer,
     observer: &impl SweepProgress,
 ) -> Option<JournalEntry> {
     if observer.stop() {
         return None;
     }
-    let cell = &grid.cells[job.cell as usize];
-    observer.started(job.cell as usize);
-    let scenario = cell.with_seed(grid.experiment.seeds.first + u64::from(job.seed));
+    let cell = &grid.cells[run_index.cell as usize];
+    observer.started(run_index.cell as usize);
+    let scenario = cell.with_seed(grid.experiment.seeds.first + u64::from(run_index.seed));
     let options = RunOptions {
         // The observer is asked at the end of each window; windows do not change outcomes.
         window: (STOP_DEVICE_TTIS / u64::from(scenario.run.devices)).max(1),
@@ -174,7 +174,7 @@ fn execute_run(
     };
     let prepared = preparer.prepare(&scenario);
     for warning in &prepared.warnings {
-        observer.warned(job.cell as usize, warning);
+        observer.warned(run_index.cell as usize, warning);
     }
     let mut run = Run::new(&prepared, options);
     run.schedule_inputs(&grid.inputs(&scenario));
@@ -212,11 +212,11 @@ impl CellProgress {
         self.moments.resize(until.metrics.len(), Moments::default());
         // By seed and not by completion: the sums, and so the decision, are equal for any number of threads.
         for seed in self.added_runs..self.next_check {
-            let job = RunIndex {
+            let run_index = RunIndex {
                 cell: cell as u32,
                 seed: seed as u32,
             };
-            let entry = &journal.runs()[&job];
+            let entry = &journal.runs()[&run_index];
             for (moments, name) in self.moments.iter_mut().zip(&until.metrics) {
                 moments.add(metric_value(entry, name));
             }

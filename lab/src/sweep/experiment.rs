@@ -284,7 +284,7 @@ fn resolve_file_paths(fields: &Declaration, path: &str, value: &mut Value, folde
     }
 }
 
-/// Describes the first difference of two experiments, as [`Experiment::to_toml`] returns them.
+/// Describes the first line in which two experiments, as [`Experiment::to_toml`] returns them, or two scripts differ.
 pub(super) fn describe_difference(own: &str, other: &str) -> String {
     let (mut own, mut other) = (own.lines(), other.lines());
     loop {

@@ -97,10 +97,10 @@ impl ExperimentBuilder {
     /// If the text is not TOML, or has unknown fields or values of wrong types; the message names file and line.
     pub fn parse(text: &str, name: &str, base_dir: &Path) -> Result<Self, SweepError> {
         let raw: ExperimentFile = toml::from_str(text).map_err(|error| {
-            let before = error.span().map_or(0, |span| span.start.min(text.len()));
+            let error_offset = error.span().map_or(0, |span| span.start.min(text.len()));
             SweepError::Syntax {
                 name: name.to_owned(),
-                line: text.get(..before).unwrap_or(text).matches('\n').count() + 1,
+                line: text.get(..error_offset).unwrap_or(text).matches('\n').count() + 1,
                 reason: format!("{}{}", error.message(), scenario_field_hint(error.message(), name)),
             }
         })?;
@@ -178,10 +178,10 @@ impl ExperimentBuilder {
             values,
             origin: origin.to_owned(),
         };
-        if let Some(before) = self.axes.insert(path.clone(), axis) {
+        if let Some(earlier_axis) = self.axes.insert(path.clone(), axis) {
             let allowed = format!(
                 "is swept twice, by {} and by {origin}; list all values in one of them",
-                before.origin
+                earlier_axis.origin
             );
             return Err(SweepError::invalid(path, "…", allowed));
         }

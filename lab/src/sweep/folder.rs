@@ -7,9 +7,9 @@
 //! | `runs.journal` | a line for every finished run, from which an interrupted sweep resumes |
 //! | `results.parquet` or `results.csv` | the table, once all runs are complete |
 //!
-//! The number of seeds in the journal's first line is authoritative. To raise it, the journal changes first; then the
-//! table of fewer seeds is removed, and `experiment.toml` is written. An interruption in between leaves a folder that
-//! can be resumed.
+//! `docs/results.md` shows the folder to users. The number of seeds in the journal's first line is authoritative. To
+//! raise it, the journal changes first; then the table of fewer seeds is removed, and `experiment.toml` is written. An
+//! interruption in between leaves a folder that can be resumed.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -124,7 +124,11 @@ impl<'g> Sweep<'g> {
 
     /// The number of finished runs.
     pub fn finished_runs(&self) -> usize {
-        self.journal.runs().keys().filter(|job| self.is_in_shard(**job)).count()
+        self.journal
+            .runs()
+            .keys()
+            .filter(|run_index| self.is_in_shard(**run_index))
+            .count()
     }
 
     /// Copies missing runs from `known` into the journal, and returns their number.
@@ -140,17 +144,17 @@ impl<'g> Sweep<'g> {
         let mut reused = 0;
         for (number, cell) in self.grid.cells.iter().enumerate() {
             for seed in self.shard.seed_indices(number as u64, seeds.count) {
-                let job = RunIndex {
+                let run_index = RunIndex {
                     cell: number as u32,
                     seed: seed as u32,
                 };
-                if self.journal.runs().contains_key(&job) {
+                if self.journal.runs().contains_key(&run_index) {
                     continue;
                 }
                 let scenario = cell.with_seed(seeds.first + seed);
                 if let Some(entry) = known.find(script, Hash(scenario.hash())) {
                     // No work is at risk, because the table still holds the run: it does not count towards a sync.
-                    self.journal.add(job, entry.clone(), 0)?;
+                    self.journal.add(run_index, entry.clone(), 0)?;
                     reused += 1;
                 }
             }
@@ -160,8 +164,9 @@ impl<'g> Sweep<'g> {
         Ok(reused)
     }
 
-    fn is_in_shard(&self, job: RunIndex) -> bool {
-        self.shard.contains(u64::from(job.cell), u64::from(job.seed))
+    fn is_in_shard(&self, run_index: RunIndex) -> bool {
+        self.shard
+            .contains(u64::from(run_index.cell), u64::from(run_index.seed))
     }
 
     /// Executes the missing runs on `threads` threads and writes the table. Returns `None` if the observer has stopped
@@ -200,7 +205,7 @@ impl<'g> Sweep<'g> {
         let mut rows = Vec::with_capacity(self.journal.runs().len());
         for (number, (cell, summary)) in self.grid.cells.iter().zip(summaries).enumerate() {
             let cell_number = number as u32;
-            let run_index = |seed: u64| RunIndex {
+            let index_of_seed = |seed: u64| RunIndex {
                 cell: cell_number,
                 seed: seed as u32,
             };
@@ -209,15 +214,15 @@ impl<'g> Sweep<'g> {
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
             // With `until_ci` the journal may hold runs beyond the check that ended the cell, such as reused ones.
-            let runs = self.journal.runs().range(run_index(0)..run_index(summary.runs));
-            for (job, entry) in runs.filter(|(job, _)| self.is_in_shard(**job)) {
+            let runs = self.journal.runs().range(index_of_seed(0)..index_of_seed(summary.runs));
+            for (run_index, entry) in runs.filter(|(run_index, _)| self.is_in_shard(**run_index)) {
                 rows.push(ResultRow {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),
                     policy: Arc::clone(&policy),
                     n: cell.scenario.run.devices,
                     ttis: cell.scenario.run.ttis,
-                    seed: self.grid.experiment.seeds.first + u64::from(job.seed),
+                    seed: self.grid.experiment.seeds.first + u64::from(run_index.seed),
                     swept: Arc::clone(&cell.swept),
                     metrics: entry.metrics,
                     events: entry.events,
@@ -248,7 +253,7 @@ fn write_experiment(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     write_if_changed(&folder.join(EXPERIMENT_FILE), &text)
 }
 
-/// The lines of a script; empty without actions.
+/// The lines of a script; empty without actions. [`SweepGrid::new`] has replaced a file by its lines.
 fn script_of(actions: Option<&SweepActions>) -> &str {
     match actions {
         Some(SweepActions::Script(text)) => text,
@@ -359,10 +364,10 @@ pub fn experiment_hash(grid: &SweepGrid) -> String {
 
 fn sweep_hash(grid: &SweepGrid, experiment: &Experiment) -> String {
     use sha2::{Digest, Sha256};
-    let mut sum = Sha256::new();
-    sum.update(grid.fingerprint().0);
-    sum.update(experiment.to_toml());
-    crate::table::Hash(sum.finalize().into()).to_string()
+    let mut hasher = Sha256::new();
+    hasher.update(grid.fingerprint().0);
+    hasher.update(experiment.to_toml());
+    crate::table::Hash(hasher.finalize().into()).to_string()
 }
 
 /// The runs of some tables, by what determines a run: its script of actions, empty without one, and the hash of its

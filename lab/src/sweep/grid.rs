@@ -227,12 +227,12 @@ fn build_cell(
     number: u64,
     files: &dyn Files,
 ) -> Result<GridCell, SweepError> {
-    let mut rest = usize::try_from(number).unwrap_or(usize::MAX);
+    let mut quotient = usize::try_from(number).unwrap_or(usize::MAX);
     let mut value_indices = vec![0; experiment.axes.len()];
     // The number in mixed radix, from its last digit: the first axis varies slowest.
     for (value_index, axis) in value_indices.iter_mut().zip(&experiment.axes).rev() {
-        *value_index = rest % axis.values.len();
-        rest /= axis.values.len();
+        *value_index = quotient % axis.values.len();
+        quotient /= axis.values.len();
     }
     let mut overrides = base.to_vec();
     let (mut label, mut swept) = (Vec::new(), Vec::new());

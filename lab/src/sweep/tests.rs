@@ -192,11 +192,11 @@ fn a_script_of_actions_reads_back_and_is_part_of_the_identity() {
 
 #[test]
 fn former_names_of_fields_are_accepted_with_a_warning() {
-    let mut above = ExperimentBuilder::default();
+    let mut options = ExperimentBuilder::default();
     let values = vec![toml::Value::Float(0.2)];
-    above.add_axis("--grid", "policy.dt.in_vain", values).expect("valid");
+    options.add_axis("--grid", "policy.dt.in_vain", values).expect("valid");
     let file = parse_experiment("policies = [\"dt\"]\n[set]\nradio.false_wake = 0.1").expect("valid");
-    let experiment = above.with_defaults_from(file).build().expect("valid");
+    let experiment = options.with_defaults_from(file).build().expect("valid");
     let [cell] = &SweepGrid::new(experiment, &Disk).expect("valid").cells[..] else {
         panic!("one cell");
     };
@@ -482,8 +482,8 @@ fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
         .collect();
     assert_eq!(own_checks, checks);
     let cells = stats::group_by_cell(&finished.table);
-    for (cell, end) in cells.iter().zip(&finished.cells) {
-        assert_eq!(cell.rows.len() as u64, end.runs);
+    for (cell, summary) in cells.iter().zip(&finished.cells) {
+        assert_eq!(cell.rows.len() as u64, summary.runs);
         let is_narrow = |runs: u64| {
             until.metrics.iter().all(|name| {
                 let values: Vec<f64> = cell
@@ -500,8 +500,8 @@ fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
         };
         let expected_runs = checks
             .into_iter()
-            .find(|&runs| runs == 200 || (runs <= end.runs && is_narrow(runs)));
-        assert_eq!(expected_runs, Some(end.runs), "{}", cell.policy);
+            .find(|&runs| runs == 200 || (runs <= summary.runs && is_narrow(runs)));
+        assert_eq!(expected_runs, Some(summary.runs), "{}", cell.policy);
     }
     assert!(
         finished.cells[0].runs < 200 && finished.cells[0].runs > 5,

@@ -1,5 +1,6 @@
 //! The result table: one row per run, as Parquet or CSV. `reveille sweep` writes it; reports, figures and the Python
-//! package read it. The columns are a file format: raise `TABLE_VERSION` when one changes its meaning.
+//! package read it. The columns are a file format: raise `TABLE_VERSION` when one changes its name or
+//! meaning. `docs/results.md` lists them.
 //!
 //! | columns | content |
 //! |---|---|

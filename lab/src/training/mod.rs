@@ -188,7 +188,7 @@ impl Trainer {
         };
         let entries_of = |&lookback: &Lookback| devices.iter().map(move |&n| new_entry(n, lookback));
         let entries = lookbacks.iter().flat_map(entries_of).collect();
-        // The settings hold one window; the entries name all windows of the training.
+        // The settings hold one look-back; the entries name all look-backs of the training.
         let settings = QLearningSettings {
             lookback: lookbacks[0],
             ..settings.clone()
@@ -398,6 +398,7 @@ fn run_episode(
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
     let options = RunOptions {
+        // A window of the run's series, not a look-back: `StopWhen` asks at its end.
         window: TTIS_BETWEEN_STOP_CHECKS,
         ..RunOptions::default()
     };
@@ -453,7 +454,7 @@ fn curve_point(outcome: &RunOutcome, ttis: u64) -> CurvePoint {
     }
 }
 
-/// Returns the checkpoint path of a training with the output file `out`.
+/// Returns the checkpoint path of a training of `q-learning` or `dt` with the output file `out`.
 pub fn checkpoint_path(out: &Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".checkpoint");

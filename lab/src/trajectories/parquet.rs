@@ -20,7 +20,7 @@ use crate::table::Hash;
 /// The version of the schema, raised when the meaning of a column changes.
 const VERSION: &str = "1";
 /// The key of the version in the metadata.
-pub(super) const KEY: &str = "reveille.trajectories";
+pub(super) const VERSION_KEY: &str = "reveille.trajectories";
 /// The approximate number of rows in a row group.
 const ROWS_PER_GROUP: usize = 100_000;
 
@@ -85,20 +85,20 @@ fn schema() -> Result<Type, ParquetError> {
 }
 
 pub(super) fn to_bytes(trajectories: &Trajectories) -> Result<Vec<u8>, TrajectoryError> {
-    let version = (KEY.to_owned(), VERSION.to_owned());
+    let version = (VERSION_KEY.to_owned(), VERSION.to_owned());
     let about = std::iter::once(version).chain(trajectories.about.clone());
     let mut writer = Writer::begin(Vec::new(), schema()?, about)?;
-    let mut rest = &trajectories.chunks[..];
-    while !rest.is_empty() {
+    let mut unwritten = &trajectories.chunks[..];
+    while !unwritten.is_empty() {
         let mut rows = 0;
-        let end = rest.iter().position(|chunk| {
+        let first_beyond = unwritten.iter().position(|chunk| {
             rows += chunk.steps.len() * chunk.devices;
             rows > ROWS_PER_GROUP
         });
         // At least one chunk, even if it alone exceeds the size of a group; otherwise the loop would not end.
-        let (group_chunks, later) = rest.split_at(end.unwrap_or(rest.len()).max(1));
+        let (group_chunks, later) = unwritten.split_at(first_beyond.unwrap_or(unwritten.len()).max(1));
         writer.write_row_group(|group| write_group(group, group_chunks))?;
-        rest = later;
+        unwritten = later;
     }
     Ok(writer.finish()?)
 }
@@ -168,12 +168,12 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
     let pairs = file.key_value_metadata().map_or(&[][..], Vec::as_slice);
     let version = pairs
         .iter()
-        .find(|pair| pair.key == KEY)
+        .find(|pair| pair.key == VERSION_KEY)
         .and_then(|pair| pair.value.as_deref());
     match version {
         Some(VERSION) => {}
         Some(other) => return Err(TrajectoryError::Foreign(format!("version {other}, not {VERSION}"))),
-        None => return Err(TrajectoryError::Foreign(format!("no {KEY} in its metadata"))),
+        None => return Err(TrajectoryError::Foreign(format!("no {VERSION_KEY} in its metadata"))),
     }
     let (expected_schema, file_fields) = (schema()?, file.schema().get_fields());
     for (index, field) in expected_schema.get_fields().iter().enumerate() {
@@ -186,7 +186,7 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
             Some(_) | None => return Err(TrajectoryError::Column(format!("{name} is missing"))),
         }
     }
-    let about = pairs.iter().filter(|pair| pair.key != KEY);
+    let about = pairs.iter().filter(|pair| pair.key != VERSION_KEY);
     let about = about
         .filter_map(|pair| Some((pair.key.clone(), pair.value.clone()?)))
         .collect();

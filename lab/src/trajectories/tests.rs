@@ -6,7 +6,7 @@ use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
 use reveille_common::declare::NoFiles;
 use reveille_common::parquet::{Column, Writer, schema};
 
-use super::parquet::{KEY, TrajectoryError, from_bytes, to_bytes};
+use super::parquet::{TrajectoryError, VERSION_KEY, from_bytes, to_bytes};
 use super::*;
 use crate::sweep::ExperimentBuilder;
 
@@ -161,7 +161,7 @@ type Corruption = fn(&mut Chunk);
 /// Returns a Parquet file with another column, labelled with `version`.
 fn foreign_file(version: Option<&str>) -> Vec<u8> {
     let schema = schema("other", [Column::required("x", Physical::INT32)]).expect("a schema");
-    let about = version.map(|version| (KEY.to_owned(), version.to_owned()));
+    let about = version.map(|version| (VERSION_KEY.to_owned(), version.to_owned()));
     let writer = Writer::begin(Vec::new(), schema, about);
     writer.and_then(Writer::finish).expect("a file")
 }

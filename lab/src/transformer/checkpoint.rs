@@ -16,7 +16,7 @@ use super::{DtTrainingConfig, TensorByName, TrainerState, TransformerError};
 
 /// The only key of the metadata. Its text has a line with [`FORMAT_VERSION`], a line with the counters, and the
 /// [`identity`] of the training.
-const METADATA_KEY: &str = "reveille.dt-training";
+const CHECKPOINT_KEY: &str = "reveille.dt-training";
 /// The version of the format; change it with any change of tensors, counters or identity. Version 1 was not in the
 /// text.
 const FORMAT_VERSION: &str = "2";
@@ -77,7 +77,7 @@ impl TrainerState {
         ];
         let counters = counters.map(|counter| counter.to_string()).join(" ");
         let text = format!("{FORMAT_VERSION}\n{counters}\n{}", identity(config, model_info));
-        let metadata = [(METADATA_KEY.to_owned(), text)].into_iter().collect();
+        let metadata = [(CHECKPOINT_KEY.to_owned(), text)].into_iter().collect();
         Ok(safetensors::serialize(views, Some(metadata))?)
     }
 
@@ -96,7 +96,9 @@ impl TrainerState {
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
         let file = SafeTensors::deserialize(bytes).map_err(|_| damaged())?;
         let metadata = header.metadata().as_ref();
-        let text = metadata.and_then(|pairs| pairs.get(METADATA_KEY)).ok_or_else(damaged)?;
+        let text = metadata
+            .and_then(|pairs| pairs.get(CHECKPOINT_KEY))
+            .ok_or_else(damaged)?;
         let Some((FORMAT_VERSION, text)) = text.split_once('\n') else {
             return Err(refuse("this checkpoint has the format of another version of Reveille"));
         };

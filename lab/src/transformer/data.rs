@@ -25,7 +25,7 @@ const EVALUATION_DEVICE_TTIS: usize = 500_000;
 pub(super) struct Dataset {
     groups: Vec<DatasetGroup>,
     /// The device-TTIs of each group's training chunks, which weight its draws.
-    weights: Vec<f64>,
+    draw_weights: Vec<f64>,
 }
 
 /// Chunks with the same N and length.
@@ -102,7 +102,7 @@ impl Dataset {
             .collect();
         let size = |group: &DatasetGroup| group.training.iter().map(|chunk| chunk.device_ttis() as f64).sum();
         Self {
-            weights: groups.iter().map(size).collect(),
+            draw_weights: groups.iter().map(size).collect(),
             groups,
         }
     }
@@ -120,9 +120,9 @@ impl Dataset {
     /// # Panics
     /// If there is no training chunk.
     pub(super) fn draw(&self, device_ttis: usize, stream: &mut Stream) -> Vec<&Chunk> {
-        let total: f64 = self.weights.iter().sum();
+        let total: f64 = self.draw_weights.iter().sum();
         let mut remaining = stream.unit() * total;
-        let chosen = self.weights.iter().position(|weight| {
+        let chosen = self.draw_weights.iter().position(|weight| {
             remaining -= weight;
             remaining < 0.0
         });

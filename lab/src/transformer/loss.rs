@@ -1,10 +1,10 @@
 //! Loss function and evaluation scores of a net. Trained models depend on the sums and their order.
 //!
-//! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
-//! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as
-//! a quasi-likelihood, which is least at the correct mean. For a net that learns the actions of teachers, m are
-//! log-odds, and the likelihood is the probability of each device's action. `expected` then counts devices that could
-//! sense, and `found` those that sensed, instead of events.
+//! A look is a TTI of a device in S1. Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation
+//! without history, m the net's output. The negative log likelihood of y events is λ − y·m, up to a constant. The gain
+//! of a wake-up uses the same formula as a quasi-likelihood, which is least at the correct mean. For a net that learns
+//! the actions of teachers, m are log-odds, and the likelihood is the probability of each device's action. `expected`
+//! then counts devices that could sense, and `found` those that sensed, instead of events.
 
 use candle_core::{DType, Result, Tensor};
 use reveille_bs::policy::dt::model::ModelObjective;

@@ -261,8 +261,8 @@ impl TrainerState {
         if !loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
-        let progress = step as f64 / config.steps as f64;
-        let rate = config.learning_rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
+        let done_share = step as f64 / config.steps as f64;
+        let rate = config.learning_rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * done_share));
         // The rate rises over the first 50 steps.
         let rate = rate * (0.02 * (step + 1) as f64).min(1.0);
         self.optimiser.step(self.net.vars(), &gradients, rate)?;

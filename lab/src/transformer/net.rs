@@ -89,14 +89,14 @@ impl Net {
         if self.shape.attends_to_devices {
             state = self.attend_in_space(&state, (c, t, n))?;
         }
-        let last = self.norm(&state, "head.norm")?;
-        let out = self.linear(&last, "head.weight", "head.bias")?;
-        let limited = (out.clone() * f64::from(OUTPUT_LIMIT))?.div(&(out.abs()? + 1.0)?)?;
+        let normed = self.norm(&state, "head.norm")?;
+        let raw_logs = self.linear(&normed, "head.weight", "head.bias")?;
+        let limited = (raw_logs.clone() * f64::from(OUTPUT_LIMIT))?.div(&(raw_logs.abs()? + 1.0)?)?;
         // Detached: the price is learned from the other features without changing them.
-        let pooled = last.detach().reshape((c * t, n, d))?.mean(1)?;
+        let pooled = normed.detach().reshape((c * t, n, d))?.mean(1)?;
         let price_input = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
-        let inner = self.linear(&price_input, "price.in.weight", "price.in.bias")?.relu()?;
-        let price = self.linear(&inner, "price.out.weight", "price.out.bias")?;
+        let price_hidden = self.linear(&price_input, "price.in.weight", "price.in.bias")?.relu()?;
+        let price = self.linear(&price_hidden, "price.out.weight", "price.out.bias")?;
         Ok(Outputs {
             logs: limited.reshape((c, t, n, OUTPUTS))?,
             price: price.reshape((c, t))?,

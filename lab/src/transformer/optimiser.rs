@@ -63,16 +63,16 @@ impl AdamW {
         };
         self.steps += 1;
         let (mean_decay, square_decay) = BETAS;
-        let unbias = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
+        let bias_divisor = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
         for (name, var) in vars {
             let gradient = (&gradients[name] * clip)?;
             // Detached: otherwise each mean would hold the graph of all earlier steps.
             let mean = ((&self.means[name] * mean_decay)? + (&gradient * (1.0 - mean_decay))?)?.detach();
             let square = ((&self.squares[name] * square_decay)? + (gradient.sqr()? * (1.0 - square_decay))?)?.detach();
-            let size = ((&square / unbias(square_decay))?.sqrt()? + EPSILON)?;
-            let step = ((&mean / unbias(mean_decay))? / size)?;
+            let root_mean_square = ((&square / bias_divisor(square_decay))?.sqrt()? + EPSILON)?;
+            let direction = ((&mean / bias_divisor(mean_decay))? / root_mean_square)?;
             let decayed = (var.as_tensor() * (1.0 - rate * WEIGHT_DECAY))?;
-            var.set(&(decayed - (step * rate)?)?)?;
+            var.set(&(decayed - (direction * rate)?)?)?;
             self.means.insert(name, mean);
             self.squares.insert(name, square);
         }

@@ -98,7 +98,7 @@ impl History {
     /// If the text is not a history; the error is the cause.
     pub fn parse(text: &str) -> Result<(Self, bool), String> {
         let is_torn = !text.ends_with('\n');
-        let complete = text.rfind('\n').map_or("", |end| &text[..end]);
+        let complete = text.rfind('\n').map_or("", |newline| &text[..newline]);
         let mut lines = complete.lines();
         if lines.next() != Some(FIRST_LINE) {
             return Err(format!("it does not begin with `{FIRST_LINE}`"));
@@ -107,8 +107,8 @@ impl History {
         let column_line = loop {
             match lines.next() {
                 Some(line) if line.starts_with('#') => {
-                    let pair = line.trim_start_matches("# ").split_once(" = ");
-                    let (name, value) = pair.ok_or_else(|| format!("`{line}` is malformed"))?;
+                    let entry = line.trim_start_matches("# ").split_once(" = ");
+                    let (name, value) = entry.ok_or_else(|| format!("`{line}` is malformed"))?;
                     history.header.push((name.to_owned(), value.to_owned()));
                 }
                 other => break other,
@@ -126,8 +126,8 @@ impl History {
 }
 
 fn parse_point(number: usize, line: &str) -> Option<TuningPoint> {
-    let (written_number, rest) = line.split_once(',')?;
-    let values: Vec<f64> = rest
+    let (written_number, value_texts) = line.split_once(',')?;
+    let values: Vec<f64> = value_texts
         .split(',')
         .map(str::parse)
         .collect::<Result<_, _>>()

@@ -211,7 +211,7 @@ impl TuningPlan {
             &[],
             &self.training,
         )?;
-        // One window and one N make one entry, whose episodes run in order: more threads would idle.
+        // One look-back and one N make one entry, whose episodes run in order: more threads would idle.
         if !trainer.train(1, &|_| Ok(()), &EpisodeForwarder(observer))? {
             return Ok(None);
         }

@@ -1,4 +1,4 @@
-//! The search ranges of the weights on a logarithmic scale, and the first pairs to try. A position is a point of the
+//! The search ranges of the weights on a logarithmic scale, and the first pairs to try. A position is a place in the
 //! unit square: the shares of the ranges' logarithms. A resumed tuning draws the pairs again and must draw the same.
 
 use libm::{exp, log};
@@ -101,7 +101,8 @@ impl Ranges {
         self.distance_to_closest(pair, known_pairs) <= SAME_PAIR_DISTANCE
     }
 
-    /// Returns a pair far from all of `known_pairs`, drawn with `seed` for the point `number`.
+    /// Returns a pair far from all of `known_pairs`, drawn from stream `number` of `seed`: the number of the point in
+    /// the history, above 0, because [`design`] draws from stream 0.
     pub fn draw_farthest(&self, known_pairs: &[WeightPair], seed: u64, number: u64) -> WeightPair {
         let mut stream = Stream::new(seed, Purpose::Tuning, number);
         let drawn = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));
@@ -111,16 +112,16 @@ impl Ranges {
     }
 }
 
-/// Returns the first pairs to try: `start`, if `ranges` contain it, and a Latin hypercube, `count` in all.
+/// Returns the first pairs to try: `start`, if `ranges` contain it, and a Latin hypercube, `count` in all. `count` is
+/// at least [`MIN_DESIGN_PAIRS`]; `TuningPlan::check` refuses fewer.
 pub fn design(ranges: &Ranges, start: WeightPair, count: usize, seed: u64) -> Vec<WeightPair> {
     let known: Vec<WeightPair> = Some(start).filter(|pair| ranges.contains(*pair)).into_iter().collect();
-    // `count` is at least `MIN_DESIGN_PAIRS`, and at most one pair is known.
-    let rest = count - known.len();
+    let hypercube_count = count - known.len();
     let mut stream = Stream::new(seed, Purpose::Tuning, 0);
     let hypercubes = (0..HYPERCUBES).map(|_| {
         let mut pairs = known.clone();
         let mut smallest_distance = f64::INFINITY;
-        for position in hypercube(rest, &mut stream) {
+        for position in hypercube(hypercube_count, &mut stream) {
             let pair = ranges.rounded(ranges.pair_at(position));
             smallest_distance = smallest_distance.min(ranges.distance_to_closest(pair, &pairs));
             pairs.push(pair);

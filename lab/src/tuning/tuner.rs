@@ -23,8 +23,8 @@ pub struct Tuner {
 }
 
 impl Tuner {
-    /// Opens the tuning of `plan` with the history file at `path`. Points in that file are not evaluated again; `force`
-    /// ignores the file.
+    /// Opens the tuning of `plan`, which [`TuningPlan::check`] has accepted, with the history file at `path`. Points in
+    /// that file are not evaluated again; `force` ignores the file.
     ///
     /// # Errors
     /// If the file cannot be read, is not a history, or belongs to another tuning.

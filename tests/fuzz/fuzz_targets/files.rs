@@ -130,31 +130,31 @@ fn check_input_log(text: &str) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((choice, rest)) = data.split_first() else {
+    let Some((choice, content)) = data.split_first() else {
         return;
     };
     match choice % 7 {
-        0 => check_journal(rest),
+        0 => check_journal(content),
         1 => {
             // A zero byte separates the table from its sidecar.
-            let table_end = rest.iter().position(|byte| *byte == 0).unwrap_or(rest.len());
-            let (rows, sidecar) = rest.split_at(table_end);
+            let table_end = content.iter().position(|byte| *byte == 0).unwrap_or(content.len());
+            let (rows, sidecar) = content.split_at(table_end);
             write_in_memory("results.csv.toml", sidecar.get(1..).unwrap_or_default());
             check_table("results.csv", Format::Csv, rows);
         }
-        2 => check_table("results.parquet", Format::Parquet, rest),
+        2 => check_table("results.parquet", Format::Parquet, content),
         3 => {
-            if let Err(error) = Trajectories::read(&write_in_memory("trajectories.parquet", rest)) {
+            if let Err(error) = Trajectories::read(&write_in_memory("trajectories.parquet", content)) {
                 assert!(!error.to_string().trim().is_empty());
             }
         }
-        4 => check_mark(&String::from_utf8_lossy(rest)),
+        4 => check_mark(&String::from_utf8_lossy(content)),
         5 => {
             // With and without the first line, which names the run.
-            let text = String::from_utf8_lossy(rest);
+            let text = String::from_utf8_lossy(content);
             check_input_log(&text);
             check_input_log(&(external_inputs::first_line(scenario()) + &text));
         }
-        _ => check_recording(rest),
+        _ => check_recording(content),
     }
 });

@@ -128,7 +128,7 @@ impl HostRecords {
         }
     }
 
-    /// Handles the appearance or disappearance of a host's liveliness token.
+    /// Handles a host that appears on the bus or disappears from it.
     fn set_alive(&mut self, credential: HostCredential, is_alive: bool) {
         if !self.admission.is_valid(credential) {
             return;
@@ -261,7 +261,7 @@ impl HostRecords {
 
 fn play(input: &mut Unstructured<'_>) -> Result<()> {
     let mut records = HostRecords::new(input.arbitrary()?);
-    let mut open = OpenRequest::None;
+    let mut open_request = OpenRequest::None;
     while !input.is_empty() {
         records.now += Duration::from_millis(100);
         match input.int_in_range(0..=11)? {
@@ -281,24 +281,24 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             4 => records.start_run(),
             5 if !records.waits_for_lost_hosts => records.remove_lost_hosts(),
             6 if records.waits_for_lost_hosts => records.restore_checkpoints(),
-            7 if records.is_running && open == OpenRequest::None => {
+            7 if records.is_running && open_request == OpenRequest::None => {
                 records.tti += 1;
                 records
                     .barrier
                     .expect_grant(Tti(records.tti), input.arbitrary()?, GrantOptions::default());
-                open = OpenRequest::Grant;
+                open_request = OpenRequest::Grant;
             }
-            8 if records.is_running && open == OpenRequest::None => {
+            8 if records.is_running && open_request == OpenRequest::None => {
                 let device = DeviceId(input.int_in_range(0..=DEVICES - 1)?);
                 records.barrier.expect_wake(Tti(records.tti), device);
-                open = OpenRequest::Wake;
+                open_request = OpenRequest::Wake;
             }
-            9 if records.is_running && open == OpenRequest::None => {
+            9 if records.is_running && open_request == OpenRequest::None => {
                 records.barrier.expect_ledgers();
-                open = OpenRequest::Ledgers;
+                open_request = OpenRequest::Ledgers;
             }
             10 => {
-                if open == OpenRequest::Grant {
+                if open_request == OpenRequest::Grant {
                     records.answer_quietly();
                 }
             }
@@ -306,19 +306,19 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
         }
         let missing_hosts = records.barrier.missing_hosts();
         // For a wake-up, `missing_hosts` names the owner of the device even after its outcome.
-        let is_early = records.barrier.is_complete() && open != OpenRequest::Wake && !missing_hosts.is_empty();
+        let is_early = records.barrier.is_complete() && open_request != OpenRequest::Wake && !missing_hosts.is_empty();
         assert!(
             !is_early,
             "the barrier is complete without the answers of {missing_hosts:?}"
         );
         if records.barrier.is_complete() {
-            match open {
+            match open_request {
                 OpenRequest::None => {}
                 OpenRequest::Grant => drop(records.barrier.take_grant_result()),
                 OpenRequest::Wake => drop(records.barrier.take_wake_outcome()),
                 OpenRequest::Ledgers => drop(records.barrier.take_ledgers()),
             }
-            open = OpenRequest::None;
+            open_request = OpenRequest::None;
         }
     }
     Ok(())

@@ -44,10 +44,10 @@ fn check_scenario(scenario: &Scenario) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((&mode, rest)) = data.split_first() else {
+    let Some((&mode, content)) = data.split_first() else {
         return;
     };
-    let Ok(text) = std::str::from_utf8(rest) else { return };
+    let Ok(text) = std::str::from_utf8(content) else { return };
     let (flags, lines): (Vec<&str>, Vec<&str>) = text.split('\n').partition(|line| line.starts_with("--set "));
     let mut overrides = Vec::new();
     // Further overrides would only make the input slow.

@@ -116,7 +116,7 @@ impl ReferenceDutySelector {
         newly_covered > 0 && battery >= FIRST_ABLE_BUCKET && advantages[battery][bucket] > 0.0
     }
 
-    /// Chooses the sensing devices of the next TTI, in the order of numbers.
+    /// Chooses the sensing devices of the next TTI, in the order of numbers. Call once for each TTI, in order.
     pub fn choose(&mut self, table: &DutyTable, levels: &[Energy]) -> Vec<usize> {
         let advantages = advantages(table);
         let batteries: Vec<usize> = levels

@@ -81,7 +81,8 @@ impl ReferenceRadio {
         }
     }
 
-    /// Begins TTI `k`, with a plan transmission if `is_sent`. Returns the number of devices that miss the plan.
+    /// Begins TTI `k`, with a plan transmission if `is_sent`. Returns the number of devices that miss the plan. Call
+    /// once for each TTI, in order.
     pub(super) fn begin(&mut self, k: u64, is_sent: bool) -> u64 {
         self.k = k;
         if let Some(interference) = &mut self.interference {

@@ -25,8 +25,8 @@ const MAY_USE: [(&str, &[&str]); 9] = [
     ("python", &["common", "bs", "lab", "study"]),
 ];
 
-/// Layers of `common`, from the lowest: a module may use modules of its line and of the lines above it. A file or
-/// folder directly in `common/src` is a module here.
+/// Layers of `common`, the lowest in the first line: a module may use its own layer and lower ones. A file or folder
+/// directly in `common/src` is a module here.
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["codec", "digits", "encoding", "units"],
     &["ids", "totals"],

@@ -126,7 +126,7 @@ pub(super) struct Module {
     pub statics: Vec<String>,
 }
 
-/// Crate of the workspace.
+/// Crate of the workspace. A `path` that its functions receive must be a module of the crate.
 pub(super) struct Crate {
     /// Folder of the crate.
     pub member: String,
@@ -172,9 +172,9 @@ impl Crate {
         let is_test_only = |path: &Vec<String>| test_modules.iter().any(|module| path.starts_with(module));
         modules.retain(|path, _| !is_test_only(path));
         let member = member.to_owned();
-        let mut tree = Self { member, modules };
-        tree.add_children();
-        tree
+        let mut read_crate = Self { member, modules };
+        read_crate.add_children();
+        read_crate
     }
 
     /// Records the child modules of each module. Only modules of non-test files count.
@@ -324,8 +324,8 @@ impl SourceReader<'_> {
         self.module().mentions.insert(Mention { words, role });
     }
 
-    fn import(&mut self, tree: &syn::UseTree, mut words: Vec<String>, role: MentionRole) {
-        let (word, name) = match tree {
+    fn import(&mut self, use_tree: &syn::UseTree, mut words: Vec<String>, role: MentionRole) {
+        let (word, name) = match use_tree {
             syn::UseTree::Path(path) => {
                 words.push(path.ident.to_string());
                 return self.import(&path.tree, words, role);

@@ -5,7 +5,8 @@
 //! Torn and garbled lines are removed when the journal is opened; missing runs are repeated.
 //!
 //! The first line names the sweep and the seeds of each cell. To raise the seeds, a copy with another first line and
-//! all runs replaces the journal atomically. A change of the lines or of the metrics' number needs a new `FORMAT`.
+//! all runs replaces the journal atomically. A change of the lines, or of the metrics' number or order, needs a new
+//! `FORMAT`.
 
 mod io;
 
@@ -114,8 +115,8 @@ pub(super) fn foreign_journal(line: &[u8]) -> String {
 }
 
 /// Returns the line of a run, including its line break.
-pub(super) fn encode_line(job: RunIndex, entry: &JournalEntry) -> String {
-    let RunIndex { cell, seed } = job;
+pub(super) fn encode_line(run_index: RunIndex, entry: &JournalEntry) -> String {
+    let RunIndex { cell, seed } = run_index;
     let metrics = entry.metrics.map(|value| {
         if value.is_nan() {
             "-".to_owned()
@@ -136,11 +137,11 @@ pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunInde
         return None;
     }
     let mut fields = text.split(' ');
-    let job = RunIndex {
+    let run_index = RunIndex {
         cell: fields.next()?.parse().ok()?,
         seed: fields.next()?.parse().ok()?,
     };
-    if u64::from(job.cell) >= cells || u64::from(job.seed) >= seeds {
+    if u64::from(run_index.cell) >= cells || u64::from(run_index.seed) >= seeds {
         return None;
     }
     let scenario_hash = fields.next()?.parse().ok()?;
@@ -157,7 +158,7 @@ pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunInde
         events: fields.next()?.parse().ok()?,
         digest: fields.next()?.parse().ok()?,
     };
-    fields.next().is_none().then_some((job, entry))
+    fields.next().is_none().then_some((run_index, entry))
 }
 
 /// A store of finished runs.
@@ -169,7 +170,7 @@ pub trait RunStore: Send {
     ///
     /// # Errors
     /// If the run cannot be stored; earlier runs are kept.
-    fn add(&mut self, job: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError>;
+    fn add(&mut self, run_index: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError>;
 
     /// Syncs everything, so that it survives a power cut.
     ///

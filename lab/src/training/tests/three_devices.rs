@@ -1,5 +1,5 @@
 //! Compares the tables of a learner with the exact optimum for a network of three devices, with two features that
-//! [`super::six_devices`] lacks: reports that cost energy, and looks that count for two TTIs. Value iteration covers
+//! [`super::six_devices`] lacks: reports that cost energy, and sensing that counts for two TTIs. Value iteration covers
 //! all battery vectors, all sets of last sensing devices and all 2^3 actions. The learner then plays the same network.
 
 use reveille_bs::scenario::Scenario;
@@ -14,7 +14,7 @@ const SETS: usize = 1 << N;
 /// E_max in units; E_idle is 1, an arrival brings 1.
 const E_MAX: usize = 4;
 const LEVELS: usize = E_MAX + 1;
-/// The number of battery vectors.
+/// The number of battery vectors: [`vector`] numbers them in base `LEVELS`, and [`levels`] is its inverse.
 const VECTORS: usize = LEVELS.pow(N as u32);
 const AREA: Area = Area {
     width: 9.0,
@@ -34,7 +34,7 @@ struct ThreeDevices {
     w: f64,
     /// E_Tx, the energy of a report, units.
     e_tx: usize,
-    /// The number of TTIs for which a look counts, 1 or 2.
+    /// The number of TTIs for which sensing counts, 1 or 2.
     window: usize,
     /// By set of devices, the share of the area where exactly these devices detect an event.
     detecting: [f64; SETS],
@@ -128,15 +128,16 @@ impl ThreeDevices {
         levels
     }
 
-    /// Returns r(k) if the devices `able` look in this TTI and the devices `before` looked in the previous TTI.
-    fn reward(&self, action: usize, able: usize, before: usize) -> f64 {
-        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * self.uncovered(able | before)
+    /// Returns r(k) if the devices `able` sensed with enough energy for a report in this TTI, and the devices
+    /// `able_before` in the previous TTI.
+    fn reward(&self, action: usize, able: usize, able_before: usize) -> f64 {
+        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * self.uncovered(able | able_before)
     }
 
-    /// Returns the state: the batteries, and the devices that looked in the previous TTI if the window covers it.
+    /// Returns the next state: the batteries, and the devices `able` of this TTI if the window still covers it then.
     fn state(&self, levels: [usize; N], able: usize) -> usize {
-        let before = if self.window > 1 { able } else { 0 };
-        before * VECTORS + vector(levels)
+        let able_before = if self.window > 1 { able } else { 0 };
+        able_before * VECTORS + vector(levels)
     }
 
     /// Returns the mean r(k) of the best policy by relative value iteration.
@@ -189,13 +190,13 @@ impl ThreeDevices {
     /// Returns the mean r(k) of `choose`, which maps the batteries of a TTI to the set of sensing devices.
     fn played_mean(&self, mut choose: impl FnMut(&[Energy]) -> usize) -> f64 {
         let mut stream = Stream::new(5, Purpose::Harvest, 1);
-        let (mut battery_levels, mut sensed_before, mut sum) = ([2; N], 0, 0.0);
+        let (mut battery_levels, mut able_before, mut sum) = ([2; N], 0, 0.0);
         for _ in 0..PLAYED {
             let energies = battery_levels.map(|level| Energy::from_micro(level as u64 * 1_000_000));
             let action = choose(&energies);
             let arrived = (0..N).map(|j| usize::from(stream.unit() < self.p) << j).sum();
             let (levels, able) = self.sense(battery_levels, action, arrived);
-            sum += self.reward(action, able, if self.window > 1 { sensed_before } else { 0 });
+            sum += self.reward(action, able, if self.window > 1 { able_before } else { 0 });
             let mut place = stream.unit();
             let contains_place = |share: &f64| {
                 place -= share;
@@ -204,7 +205,7 @@ impl ThreeDevices {
             let detecting = self.detecting.iter().position(contains_place).unwrap_or(0);
             let is_event = stream.unit() < self.alpha;
             battery_levels = self.report(levels, if is_event { detecting & able } else { 0 });
-            sensed_before = able;
+            able_before = able;
         }
         sum / PLAYED as f64
     }
@@ -230,7 +231,7 @@ fn the_learner_comes_close_to_the_optimum_with_reports_and_with_a_window_of_two_
         let sleep_reward = 1.0 - network.w;
         let best_gain = network.optimal_mean() - sleep_reward;
         let learned_gain = network.learned_mean() - sleep_reward;
-        // Every device that could report senses, regardless of previous looks.
+        // Every device that could report senses, regardless of earlier sensing.
         let all_able = |energies: &[Energy]| {
             let is_able = |j: &usize| energies[*j].micro() >= (1 + network.e_tx as u64) * 1_000_000;
             (0..N).filter(is_able).map(|j| 1 << j).sum()

@@ -100,8 +100,8 @@ impl Journal {
                     Some(JournalHeader::Seeds(held)) => needs_rewrite = held < seeds,
                 }
                 valid_bytes = read_bytes;
-            } else if let Some((job, entry)) = parse_line(&line, cells, seeds) {
-                self.runs.insert(job, entry);
+            } else if let Some((run_index, entry)) = parse_line(&line, cells, seeds) {
+                self.runs.insert(run_index, entry);
                 valid_bytes = read_bytes;
             } else {
                 self.dropped_lines += 1;
@@ -148,8 +148,8 @@ impl Journal {
         let mut writer = BufWriter::new(file);
         let mut length = header.len();
         writer.write_all(header.as_bytes())?;
-        for (job, entry) in &self.runs {
-            let line = encode_line(*job, entry);
+        for (run_index, entry) in &self.runs {
+            let line = encode_line(*run_index, entry);
             writer.write_all(line.as_bytes())?;
             length += line.len();
         }
@@ -178,15 +178,15 @@ impl RunStore for Journal {
         &self.runs
     }
 
-    fn add(&mut self, job: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError> {
-        let line = encode_line(job, &entry);
+    fn add(&mut self, run_index: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError> {
+        let line = encode_line(run_index, &entry);
         if let Err(error) = self.file.write_all(line.as_bytes()) {
             // Another thread may find space again: its line must not follow half of this one.
             let _ = self.file.set_len(self.valid_bytes);
             return Err(self.write_error(error));
         }
         self.valid_bytes += line.len() as u64;
-        self.runs.insert(job, entry);
+        self.runs.insert(run_index, entry);
         self.unsynced_lines += 1;
         self.unsynced_device_ttis = self.unsynced_device_ttis.saturating_add(device_ttis);
         if self.unsynced_lines >= SYNC_LINES || self.unsynced_device_ttis >= SYNC_DEVICE_TTIS {
