@@ -43,7 +43,7 @@ fn check_setting(setting: Setting, value: f64, scenario: &Scenario) -> Result<()
             Err(format!("{field} {value}: must be above 0, and at most 1"))
         }
         Setting::Price if scenario.policy.name() != "age-index" => Err(format!(
-            "{field}: policy {} has no price; use it with policy age-index",
+            "{field}: policy {} does not use it; choose policy age-index",
             scenario.policy.name()
         )),
         Setting::Price if !(value >= 0.0 && value.is_finite()) => Err(format!("{field} {value}: must be at least 0")),

@@ -179,7 +179,7 @@ fn an_impossible_action_is_refused() {
     );
     refused("fail 7-2", "must be `all`, or devices and ranges of devices");
     refused("energy 7 0", "above 0");
-    refused("set policy.age-index.price 1", "policy knn has no price");
+    refused("set policy.age-index.price 1", "policy knn does not use it");
     refused("set devices 3", "cannot change during a run");
     refused("fail 7 --at 99", "TTI 99: must be from 100, the next TTI, to 399");
     refused("fail 7 --at 400", "TTI 400: must be from 100");

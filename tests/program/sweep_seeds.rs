@@ -94,7 +94,7 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
         sweep.finish();
     }
     let parts = [
-        "s1: holds no complete table: its sweep is not finished",
+        "s1: the folder holds no table with all runs of its sweep: its sweep is not finished",
         "give its command again",
         "--partial",
     ];
@@ -102,12 +102,16 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
     assert!(!folder.join("m.parquet").exists());
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} whole --out c"));
-        assert_refused(&end, 1, &["whole: holds no complete table: its sweep is not finished"]);
+        assert_refused(
+            &end,
+            1,
+            &["whole: the folder holds no table with all runs of its sweep: its sweep is not finished"],
+        );
         let end = folder.run(&format!("{command} runtime --out c"));
         assert_refused(
             &end,
             1,
-            &["runtime: holds no complete table: it is not the folder of a sweep"],
+            &["runtime: the folder holds no table with all runs of its sweep: it is not the folder of a sweep"],
         );
     }
     assert!(!folder.join("c").exists());
@@ -116,7 +120,7 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
     let parts = [
-        "s2: holds no complete table: its experiment.toml asks for 5 seeds a cell",
+        "s2: the folder holds no table with all runs of its sweep: its experiment.toml asks for 5 seeds a cell",
         "but results.parquet holds 3",
     ];
     assert_refused(&folder.run("merge s2 --partial --out m.parquet"), 1, &parts);

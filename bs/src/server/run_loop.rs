@@ -85,7 +85,7 @@ pub(super) async fn run(
     };
     run_loop.publish_progress();
     run_loop.context.progress.has_begun.store(true, Ordering::Relaxed);
-    run_loop.context.shared.lock().publish_owners(run_loop.context.progress);
+    run_loop.context.shared.lock().copy_owners_to(run_loop.context.progress);
     let started = now();
     let ledgers = run_loop.run_ttis(observer).await;
     run_loop.publish_progress();
@@ -492,7 +492,7 @@ impl RunLoop<'_> {
         let mut state = self.context.shared.lock();
         let roster = state.barrier.roster_mut();
         self.downlink.redirect_wake_ups(|device| roster.owner_of(device));
-        state.publish_owners(self.context.progress);
+        state.copy_owners_to(self.context.progress);
         drop(state);
         self.downlink.retransmit()
     }

@@ -57,8 +57,8 @@ impl ServerState {
         self.is_paused
     }
 
-    /// Writes the assignments and names of all hosts to `progress`.
-    pub(super) fn publish_owners(&mut self, progress: &RunProgress) {
+    /// Copies the assignments and names of all hosts, except removed ones, to `progress`, where the audit reads them.
+    pub(super) fn copy_owners_to(&mut self, progress: &RunProgress) {
         let roster = self.barrier.roster_mut();
         let assignments = (0..roster.host_count())
             .filter(|position| !roster.is_removed(*position))

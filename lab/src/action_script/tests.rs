@@ -175,7 +175,7 @@ fn an_invalid_line_is_refused_with_the_fix() {
     let error = parse("5 set policy.age-index.price 1", &knn)
         .expect_err("no price")
         .to_string();
-    assert!(error.contains("policy knn has no price"), "{error}");
+    assert!(error.contains("policy knn does not use it"), "{error}");
     let bursts = scenario(&["events.process=bursts"]);
     let error = parse("5 set events.alpha 1", &bursts).expect_err("no rate").to_string();
     assert!(error.contains("no constant rate"), "{error}");

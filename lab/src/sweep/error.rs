@@ -102,7 +102,7 @@ pub enum SweepError {
         error: TableError,
     },
     /// A folder holds no table with all its runs.
-    #[error("{}: holds no complete table: {reason}", folder.display())]
+    #[error("{}: the folder holds no table with all runs of its sweep: {reason}", folder.display())]
     NoTable {
         /// The folder.
         folder: PathBuf,

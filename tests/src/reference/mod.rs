@@ -51,7 +51,11 @@ pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) ->
 /// search is too close to call, takes over the emulator's pair.
 pub fn build_policy(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
     match scenario.policy.name() {
-        "adjusted" => ReferencePolicy::adjusted(scenario, positions, search::search_or_emulated(scenario, positions)),
+        "adjusted" => ReferencePolicy::adjusted(
+            scenario,
+            positions,
+            search::search_or_emulated_if_close(scenario, positions),
+        ),
         _ => ReferencePolicy::new(scenario, positions),
     }
 }

@@ -29,7 +29,7 @@ struct PilotResult {
 }
 
 /// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if a pilot run is too close to call.
-pub(super) fn search_or_emulated(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
+pub(super) fn search_or_emulated_if_close(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
     reference_search(scenario, positions).unwrap_or_else(|| {
         let emulated = prepare(scenario).pilot_choice.expect("the search finds a pair");
         let choice: &DutyCycleChoice = emulated.downcast_ref().expect("a pair");

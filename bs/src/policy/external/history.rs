@@ -28,7 +28,7 @@ pub struct ReportHistory {
     static_features: Vec<StaticFeatures>,
     positions: Vec<Point>,
     sensing: Sensing,
-    last_reports: LastReports,
+    latest_report_tti: LatestReportTti,
     i_min: f64,
 }
 
@@ -47,9 +47,9 @@ pub struct StaticFeatures {
     pub is_steady: bool,
 }
 
-/// Reports of the last TTI with reports, by device.
+/// The latest TTI with any reports: its reports and the distances from them, by device.
 #[derive(Clone, Debug)]
-struct LastReports {
+struct LatestReportTti {
     /// I_ij of its report, 0 without a report.
     information: Vec<f64>,
     /// Distance to the nearest reporter, m; infinite without a reporter.
@@ -85,7 +85,7 @@ impl ReportHistory {
             last_sensed: vec![0; known.n()],
             last_reported: vec![0; known.n()],
             static_features: known.devices.iter().enumerate().map(static_features).collect(),
-            last_reports: LastReports {
+            latest_report_tti: LatestReportTti {
                 information: vec![0.0; known.n()],
                 distance: vec![f64::INFINITY; known.n()],
                 p: vec![0.0; known.n()],
@@ -113,9 +113,9 @@ impl ReportHistory {
 
     /// Replaces the reports by the first ones of the open TTI, at least one. Call [`Self::advance`] to this TTI first.
     pub(crate) fn start_event(&mut self, reports: &[Report]) {
-        self.last_reports.information.fill(0.0);
-        self.last_reports.distance.fill(f64::INFINITY);
-        self.last_reports.p.fill(0.0);
+        self.latest_report_tti.information.fill(0.0);
+        self.latest_report_tti.distance.fill(f64::INFINITY);
+        self.latest_report_tti.p.fill(0.0);
         for report in reports {
             self.add_report(report);
         }
@@ -126,18 +126,18 @@ impl ReportHistory {
         let Self {
             positions,
             sensing,
-            last_reports,
+            latest_report_tti,
             ..
         } = self;
         self.is_event_reported = true;
         self.last_reported[report.device.index()] = report.tti.0 + 1;
-        last_reports.information[report.device.index()] = report.information;
+        latest_report_tti.information[report.device.index()] = report.information;
         let reporter = positions[report.device.index()];
         // Updated per report: computing distances for each request took half of an environment's step at N = 250.
         let devices = positions
             .iter()
-            .zip(&mut last_reports.distance)
-            .zip(&mut last_reports.p);
+            .zip(&mut latest_report_tti.distance)
+            .zip(&mut latest_report_tti.p);
         for ((position, nearest_distance), p) in devices {
             let distance = position.distance(reporter);
             if distance < *nearest_distance {
@@ -148,12 +148,12 @@ impl ReportHistory {
 
     /// Returns I of the report of `device` in the last TTI with reports, `[0, Ψ]`; 0 without a report.
     pub fn information(&self, device: usize) -> f64 {
-        self.last_reports.information[device]
+        self.latest_report_tti.information[device]
     }
 
     /// Returns p(d) of the distance from `device` to the nearest reporter of that TTI, `[0, 1]`.
     pub(crate) fn nearness(&self, device: usize) -> f64 {
-        self.last_reports.p[device]
+        self.latest_report_tti.p[device]
     }
 
     /// Returns the TTIs since `device` last sensed by the plan in an ended TTI, or `None`.
