@@ -61,6 +61,9 @@ impl Deployment {
     }
 
     /// Returns the setup of a host with `credentials` for the devices `first .. first + count` from TTI 0 on.
+    ///
+    /// # Panics
+    /// If these devices are not all among the deployed ones.
     pub fn host_setup<P>(
         &self,
         scenario: &Scenario<P>,

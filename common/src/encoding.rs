@@ -39,13 +39,13 @@ impl Encoding {
         match self {
             Self::Json => serde_json::from_slice(bytes).map_err(|error| error.to_string()),
             Self::Cbor => {
-                let mut rest = bytes;
-                let message = ciborium::from_reader(&mut rest).map_err(|error| error.to_string())?;
+                let mut unread = bytes;
+                let message = ciborium::from_reader(&mut unread).map_err(|error| error.to_string())?;
                 // ciborium stops after the first item.
-                if rest.is_empty() {
+                if unread.is_empty() {
                     Ok(message)
                 } else {
-                    Err(format!("{} bytes follow the message", rest.len()))
+                    Err(format!("{} bytes follow the message", unread.len()))
                 }
             }
         }
@@ -58,7 +58,7 @@ impl Encoding {
 pub struct FloatRows {
     /// Number of values in a row, ≥ 1.
     pub width: usize,
-    /// All values, row by row.
+    /// All values, row by row; a multiple of `width`, or JSON omits the values after the last whole row.
     pub values: Vec<f32>,
 }
 
@@ -95,8 +95,8 @@ impl<'de> Visitor<'de> for RowsVisitor {
     }
 
     fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<FloatRows, E> {
-        let (numbers, rest) = bytes.as_chunks::<4>();
-        if !rest.is_empty() {
+        let (numbers, extra_bytes) = bytes.as_chunks::<4>();
+        if !extra_bytes.is_empty() {
             return Err(E::custom("expected numbers of four bytes each"));
         }
         let values: Vec<f32> = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();

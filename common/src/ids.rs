@@ -85,6 +85,7 @@ impl Add<u64> for Tti {
 
 impl Sub for Tti {
     type Output = u64;
+    /// Returns the number of TTIs from `other`, which must not be later, to this one.
     fn sub(self, other: Self) -> u64 {
         self.0 - other.0
     }

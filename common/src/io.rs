@@ -49,8 +49,8 @@ pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
     let [start_mark, end_mark] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
     let text = std::fs::read_to_string(&path).expect("the page");
-    let (text_before, rest) = text.split_once(&start_mark).expect("the mark above the table");
-    let (current_table, text_after) = rest.split_once(&end_mark).expect("the mark below the table");
+    let (text_before, text_from_table) = text.split_once(&start_mark).expect("the mark above the table");
+    let (current_table, text_after) = text_from_table.split_once(&end_mark).expect("the mark below the table");
     if current_table != table {
         let text = [text_before, &start_mark, table, &end_mark, text_after].concat();
         std::fs::write(&path, text).expect("writable");

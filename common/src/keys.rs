@@ -13,10 +13,13 @@
 //! | `reveille/{run}/policy/v1` | decision requests, BS → policy process |
 //! | `reveille/{run}/tap` | [`FrameBatch`](crate::message::FrameBatch), BS → observers |
 //!
-//! Each host receives the secret with its assignment, and its own token. No wildcard of zenoh matches a part of a key
-//! that begins with `@`. Without the secret, a peer can neither name nor receive those keys; even with it, a host
-//! cannot send for another host. Each host has its own key for messages to all hosts: with a shared key, zenoh checks
-//! all pairs of hosts at each join. Kinds of the truth plane have no traffic: observers receive them from the tap.
+//! Each host, a member of the run like the BS, receives the run's secret with its assignment, and its own token. This
+//! `{token}` is a secret too; a liveliness token is zenoh's sign that a peer is alive.
+//!
+//! No wildcard of zenoh matches a part of a key that begins with `@`. Without the secret, a peer can neither name nor
+//! receive those keys; even with it, a host cannot send for another host. Each host has its own key for messages to all
+//! hosts: with a shared key, zenoh checks all pairs of hosts at each join. Kinds of the truth plane have no traffic:
+//! observers receive them from the tap.
 
 use std::fmt;
 use std::str::FromStr;
@@ -131,7 +134,7 @@ impl KeyExprs {
         format!("{}/*/*", self.base_key(kind))
     }
 
-    /// Returns the liveliness token of the host with this credential.
+    /// Returns the key of the liveliness token of the host with this credential.
     pub fn host_liveliness(&self, credential: HostCredential) -> String {
         format!("{}/emu/alive/{credential}", self.member_prefix())
     }
@@ -141,7 +144,7 @@ impl KeyExprs {
         format!("{}/emu/alive/*/*", self.member_prefix())
     }
 
-    /// Returns the liveliness token of the BS.
+    /// Returns the key of the liveliness token of the BS.
     pub fn bs_liveliness(&self) -> String {
         format!("reveille/{}/emu/bs", self.run)
     }

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::ids::{DeviceId, Tti};
 
-/// The duty cycle of one device: δ_j(k) = 1 in the first `t_on` of every `t_drx` TTIs.
+/// The duty cycle of one device: δ_j(k) = 1 in the first `t_on` of every `t_drx` TTIs. Methods other than
+/// [`Self::is_valid`] need a valid cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DutyCycle {
     /// TTIs in S1 per cycle, `0 ..= t_drx`.
@@ -68,22 +69,24 @@ impl DutyCycle {
     pub const fn sum_over_span(self, phase: u32, n: u32) -> (u64, u64, u32) {
         // No overflow: phase is below 2²⁴, and n at most 2³⁰.
         let end = phase + n;
-        let before = min_u32(phase, self.t_on) as u64;
-        // x counts TTIs from the start of the first cycle. A TTI x with δ = 1 adds end − x to the sum, so the number of
-        // such x and their sum suffice.
+        let on_before = min_u32(phase, self.t_on) as u64;
+        // x counts TTIs from the start of the first cycle, so the span is phase ≤ x < end. A TTI x with δ = 1 adds
+        // end − x to the sum, so the number of such x and their sum suffice.
         // A span within one cycle needs no division.
         if end < self.t_drx {
-            let after = min_u32(end, self.t_on) as u64;
-            let on = after - before;
-            return (on, end as u64 * on - (sum_below(after) - sum_below(before)), end);
+            let on_until_end = min_u32(end, self.t_on) as u64;
+            let on = on_until_end - on_before;
+            let sum = sum_below(on_until_end) - sum_below(on_before);
+            return (on, end as u64 * on - sum, end);
         }
-        let (cycles, rest) = ((end / self.t_drx) as u64, end % self.t_drx);
-        let (t_on, cycle, after) = (self.t_on as u64, self.t_drx as u64, min_u32(rest, self.t_on) as u64);
-        let on = cycles * t_on + after - before;
+        let (cycles, end_phase) = ((end / self.t_drx) as u64, end % self.t_drx);
+        let (t_on, t_drx) = (self.t_on as u64, self.t_drx as u64);
+        let on_in_last = min_u32(end_phase, self.t_on) as u64;
+        let on = cycles * t_on + on_in_last - on_before;
         // Whole cycle c begins at x = c · t_drx and adds t_on · c · t_drx + 0 + … + (t_on − 1).
-        let full = cycle * t_on * sum_below(cycles) + cycles * sum_below(t_on);
-        let sum = full + cycles * cycle * after + sum_below(after) - sum_below(before);
-        (on, end as u64 * on - sum, rest)
+        let sum_of_cycles = t_drx * t_on * sum_below(cycles) + cycles * sum_below(t_on);
+        let sum = sum_of_cycles + cycles * t_drx * on_in_last + sum_below(on_in_last) - sum_below(on_before);
+        (on, end as u64 * on - sum, end_phase)
     }
 
     /// Returns the position in the cycle in TTI `k`, `0 .. t_drx`.
@@ -149,7 +152,7 @@ impl Plan {
         Self::Bits { bits }
     }
 
-    /// Creates a plan of bits for `devices` devices, of which `sensing` have δ = 1.
+    /// Creates a plan of bits for `devices` devices, of which `sensing` have δ = 1. All ids must be below `devices`.
     pub fn from_devices(devices: usize, sensing: &[DeviceId]) -> Self {
         let mut bits = vec![0; devices.div_ceil(8)];
         for device in sensing {

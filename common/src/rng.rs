@@ -72,7 +72,10 @@ impl Stream {
         to_unit(self.0.next_u64())
     }
 
-    /// Draws a whole number uniform on `0 .. n`. `n` is at least 1.
+    /// Draws a whole number uniform on `0 .. n`.
+    ///
+    /// # Panics
+    /// If `n` is 0.
     pub fn below(&mut self, n: u64) -> u64 {
         assert!(n > 0, "an empty range has no element to draw");
         // Lemire's method: low words below 2⁶⁴ mod n are rejected, because they would make some results more likely.
@@ -165,6 +168,9 @@ pub struct Geometric {
 
 impl Geometric {
     /// Creates the distribution for a trial with success probability `p`, `0 ..= 1`. With `p = 0` it never succeeds.
+    ///
+    /// # Panics
+    /// If `p` is outside this range.
     pub fn new(p: f64) -> Self {
         assert!((0.0..=1.0).contains(&p), "the probability {p} is not within 0 and 1");
         Self {

@@ -1,6 +1,6 @@
 //! Secrets that authorise a peer, and the credentials of hosts. Their texts are parts of
 //! [key expressions](crate::keys) on the bus, and a secret's text is also the content of a key file
-//! (`deploy/src/key.rs`): a change of a text breaks both.
+//! (`deploy/src/key.rs`): a change of a text breaks both. A change of a type raises `WIRE_VERSION`.
 
 use std::fmt;
 use std::str::FromStr;

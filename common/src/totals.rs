@@ -1,8 +1,8 @@
 //! Exact integer totals of devices, events and radio traffic, from which every metric follows.
 //!
 //! Integer sums do not depend on the order of addition, so any split of a run over hosts gives the same totals. The
-//! totals of devices and of ended events travel on the bus, so a change of their fields raises `WIRE_VERSION`. The
-//! digest hashes most fields.
+//! totals of devices and of ended events travel on the bus, with [`MissCause`]: a change of their fields raises
+//! `WIRE_VERSION`. `summary.json` holds [`Totals`] by the names of its fields. The digest hashes most fields.
 
 use std::ops::{Add, AddAssign, Sub};
 

@@ -95,7 +95,8 @@ impl World {
         }
     }
 
-    /// Sends `plan` on the air in TTI `from`. Returns the number of devices that miss it.
+    /// Sends `plan` on the air in TTI `from`, in the order of TTIs with [`Self::losses_at`]. Returns the number of
+    /// devices that miss it.
     pub fn send_plan(&mut self, from: Tti, plan: &Plan) -> u64 {
         if !self.air.loses_plans() {
             return 0;
@@ -114,13 +115,14 @@ impl World {
         self.process.set_alpha(from, alpha);
     }
 
-    /// Returns the losses on the air in TTI `k`, which must not precede the TTI of the last call.
+    /// Returns the losses on the air in TTI `k`, which must not precede the TTI of the last call or plan.
     pub fn losses_at(&mut self, k: Tti) -> AirLosses {
         self.air.losses_at(k)
     }
 
-    /// Advances the world from TTI `k` to the first TTI before `horizon` in which a device may react to an event under
-    /// `plan`. Returns that TTI, if any. Appends all changes of the world on the way to `changes`, in order.
+    /// Advances the world from `k`, the first TTI not yet closed, to the first TTI before `horizon` in which a device
+    /// may react to an event under `plan`. Returns that TTI, if any, which [`Self::close_tti`] must close before the
+    /// next call. Appends all changes of the world on the way to `changes`, in order.
     ///
     /// If an `oracle` is given, no device senses and only the oracle reacts.
     #[inline]

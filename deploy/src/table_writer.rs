@@ -205,12 +205,12 @@ mod tests {
 
     /// A file that refuses the first write, like a full disk, and keeps later ones.
     #[derive(Default)]
-    struct FullOnce {
+    struct FullAtFirstWrite {
         has_refused: bool,
         bytes: Vec<u8>,
     }
 
-    impl Write for FullOnce {
+    impl Write for FullAtFirstWrite {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             if !std::mem::replace(&mut self.has_refused, true) {
                 return Err(io::ErrorKind::StorageFull.into());
@@ -226,7 +226,7 @@ mod tests {
 
     #[test]
     fn bytes_of_a_failed_write_are_written_once() {
-        let mut buffered = LineBuffered::new(FullOnce::default());
+        let mut buffered = LineBuffered::new(FullAtFirstWrite::default());
         let rows = b"1,2,3\n".repeat(MAX_HELD_BYTES);
         buffered.write_all(&rows).expect("held");
         buffered.write_all(b"4,5,6\n").expect_err("the disk is full");

@@ -8,6 +8,7 @@
 //! [`LedgerBuilder::record_end`] at its end. A span of paid TTIs takes [`LedgerBuilder::record_paid_span`] alone. A
 //! span on an empty battery takes [`LedgerBuilder::record_outage`] and `record_end`. TTIs of a device that is switched
 //! off take [`LedgerBuilder::record_off`] and `record_end`. False wake-ups and transmissions are recorded in addition.
+//! The digest hashes the result, and `tests/src/reference/device.rs` counts the same.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::EnergyModel;
@@ -40,7 +41,7 @@ pub struct LedgerBuilder {
     transmissions: u64,
     /// The energy drained by actions that the battery could not pay.
     drained: EnergyByState,
-    /// The sum of the battery levels at the ends of all TTIs, in millionths of a unit.
+    /// The sum of the battery levels at the ends of all TTIs, micro-units.
     battery_sum: u128,
     /// The number of TTIs that ended with less than `E_Tx` in the battery.
     low_ttis: u64,
@@ -160,7 +161,8 @@ impl LedgerBuilder {
         self.low_ttis += if level < e_tx { ttis } else { 0 };
     }
 
-    /// Returns the totals over the TTIs before `next`, with these costs and this battery.
+    /// Returns the totals over the TTIs before `next`, with these costs and this battery. All of them must be recorded,
+    /// the last one to its end.
     pub fn totals(&self, next: Tti, costs: &EnergyModel, battery: &Battery) -> DeviceTotals {
         // Each other TTI before `next` had either δ = 1 or δ = 0.
         let sleep_ttis = next.0 - self.off_ttis - self.sensing_ttis;

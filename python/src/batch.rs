@@ -145,8 +145,8 @@ impl PyEnvBatch {
         Ok(batch)
     }
 
-    /// Restarts each of the environments `which` with the seed at its place in `seeds`. `set` overrides fields in
-    /// addition to the earlier overrides.
+    /// Restarts each of the environments `which` with the seed at its place in `seeds`, which is as long. `set`
+    /// overrides fields in addition to the overrides of the batch; it replaces the `set` of an earlier reset.
     fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
         let scenario = read_external(py, &self.source, &set)?;
@@ -171,7 +171,7 @@ impl PyEnvBatch {
         self.fill_arrays(py)
     }
 
-    /// Applies a decision in each environment that does not rest.
+    /// Applies a decision in each environment whose flag in `rests` is false.
     fn step(
         &self,
         py: Python<'_>,
@@ -241,7 +241,7 @@ impl PyEnvBatch {
         sources && self.weights == other.weights
     }
 
-    /// The scenario, all fields, as TOML.
+    /// The scenario of environment 0, all fields, as TOML.
     #[getter]
     fn scenario(&self) -> String {
         self.lock().environments()[0].template().scenario().to_toml()

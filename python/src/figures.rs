@@ -85,7 +85,8 @@ impl PyFigure {
 }
 
 /// Draws a metric against a field from tables with names and paths: one figure for each combination of values of the
-/// other fields. Also returns a note if there are several figures.
+/// other fields. The values of `by` distinguish the lines, `only` filters the rows, and `log` selects logarithmic axes,
+/// x and y. Also returns a note if there are several figures.
 #[pyfunction]
 #[pyo3(signature = (tables, x, y, by, only, log))]
 pub(crate) fn sweep_pictures(

@@ -35,7 +35,7 @@ pub(crate) enum LineError {
 
 /// JSON object of a frame, for writing.
 #[derive(Serialize)]
-struct JsonLine<'a> {
+struct WrittenLine<'a> {
     tti: u64,
     plane: &'static str,
     kind: &'static str,
@@ -93,7 +93,7 @@ impl<'a> FrameLine<'a> {
             number,
             payload,
         } = self.frame;
-        let line = JsonLine {
+        let line = WrittenLine {
             tti: tti.0,
             plane: kind.plane().name(),
             kind: kind.name(),

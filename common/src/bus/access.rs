@@ -4,9 +4,10 @@
 //! The BS is a router, and all messages of others pass through it. Any client may send join requests, clock controls,
 //! actions and queries for the run's description and input log, and may follow the tap. A host receives the run's
 //! secret with its assignment. With it, the host may also receive clock messages, plans and wake-ups, and send on keys
-//! of hosts; its token identifies it to the BS. Only the BS may send clock messages, plans and wake-ups, answer its own
-//! kinds of queries, or feed the tap. At the policy port the BS asks and any client may answer: it accepts answers that
-//! carry the run's key. See [`crate::keys`] for why a wildcard does not help an outsider.
+//! of hosts; the token in its credential identifies it to the BS. Only the BS may send clock messages, plans and
+//! wake-ups, answer its own kinds of queries, or feed the tap. At the policy port the BS asks and any client may
+//! answer. No rule checks the run's key or a host's token: the handlers in `bs/src/server/` do. See [`crate::keys`] for
+//! why a wildcard does not help an outsider.
 
 use crate::keys::KeyExprs;
 use crate::message::MessageKind;
@@ -26,7 +27,7 @@ pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
 const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
 /// Kinds of messages that hosts send to the BS.
 const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
-/// Kinds of queries that the BS answers.
+/// Kinds of queries that the BS answers; only the key of `Ready` has the run's secret, which hosts know.
 const BS_QUERIES: [MessageKind; 6] = [
     MessageKind::Join,
     MessageKind::Ready,
@@ -43,19 +44,19 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
     let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
     let queries: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
     let received = [&bs_to_hosts[..], &[wake_key, keys.tap()]].concat();
-    let (host_tokens, own_token) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
+    let (host_liveliness, bs_liveliness) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
     let policy_port = vec![keys.policy_port()];
-    let visible_tokens = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
-    // Ingress is the flow from a peer to the BS, egress the flow from the BS to a peer.
+    let visible_liveliness = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
+    // Ingress is the flow from a peer to the BS, egress the flow from the BS to a peer. The ids occur only here.
     let rules = [
         rule("send", "ingress", &["put"], &hosts_to_bs),
         rule("hear", "ingress", &["declare_subscriber"], &received),
-        rule("live", "ingress", &["liveliness_token"], &host_tokens),
+        rule("live", "ingress", &["liveliness_token"], &host_liveliness),
         rule(
             "look",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
-            &visible_tokens,
+            &visible_liveliness,
         ),
         rule("ask", "ingress", &["query"], &queries),
         rule("decide", "ingress", &["declare_queryable", "reply"], &policy_port),
@@ -63,7 +64,7 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
         rule("told", "egress", &["put"], &received),
         rule("wanted", "egress", &["declare_subscriber"], &hosts_to_bs),
         rule("answered", "egress", &["declare_queryable", "reply"], &queries),
-        rule("alive", "egress", &["liveliness_token"], &own_token),
+        rule("alive", "egress", &["liveliness_token"], &bs_liveliness),
     ];
     let ids: Vec<String> = rules.iter().map(|(id, _)| format!("{id:?}")).collect();
     let rules: Vec<String> = rules.into_iter().map(|(_, rule)| rule).collect();

@@ -4,7 +4,7 @@
 //! The BS listens as a zenoh router; all other processes connect to it as clients over TCP. Links are reliable and
 //! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the messages: a payload's
 //! type determines its kind and its key, so no two types share a key. All processes of a run must have the same
-//! version.
+//! version. A `key` is a key expression of zenoh; the run's key is a secret that authorises queries.
 //! `access` defines the rights of a peer, so a new kind needs an entry there. Callbacks run on zenoh's threads and must
 //! not block.
 //!

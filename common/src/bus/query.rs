@@ -25,7 +25,8 @@ type QueryHandler = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + S
 type ReplyFuture<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
 
 impl Bus {
-    /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call it.
+    /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call it, so it must not
+    /// block.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -84,9 +85,9 @@ impl Bus {
         ))
     }
 
-    /// Repeats a query of type `Q` until it is answered; `None` without an answer. After `patience` no further attempt
-    /// starts, but the last one may still end. While hundreds of sessions open together, a query can get lost or arrive
-    /// before zenoh knows the route to its server.
+    /// Repeats a query of type `Q` until it is answered, with `secret` instead of the run's key; `None` without an
+    /// answer. After `patience` no further attempt starts, but the last one may still end. While hundreds of sessions
+    /// open together, a query can get lost or arrive before zenoh knows the route to its server.
     ///
     /// # Errors
     /// The errors of [`Self::query`].

@@ -97,7 +97,7 @@ impl Bus {
         run: RunName,
         patience: Duration,
     ) -> Result<Self, BusError> {
-        let (host, port) = parse_endpoint(endpoint)?;
+        let (hostname, port) = parse_endpoint(endpoint)?;
         let mut config = session_config("client", hosts)?;
         set_option(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
         set_option(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
@@ -112,7 +112,7 @@ impl Bus {
         let opened = tokio::select! {
             opened = open(config) => opened?,
             // The standard library takes an IPv6 address without the brackets of an endpoint.
-            why = find_connect_obstacle(host.trim_matches(['[', ']']), port) => {
+            why = find_connect_obstacle(hostname.trim_matches(['[', ']']), port) => {
                 return Err(BusError::ConnectFailed(endpoint.to_owned(), why));
             }
         };
@@ -166,13 +166,13 @@ fn set_option(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), 
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
 }
 
-/// Returns the reason why this machine cannot connect to `host`, once it is known. A BS that does not listen yet is
+/// Returns the reason why this machine cannot connect to `hostname`, once it is known. A BS that does not listen yet is
 /// not such a reason. Once a connection succeeds, the future never completes.
-async fn find_connect_obstacle(host: &str, port: u16) -> String {
+async fn find_connect_obstacle(hostname: &str, port: u16) -> String {
     loop {
         tokio::time::sleep(CHECK_INTERVAL).await;
         // The machine can connect, so the session's own attempt decides from here on.
-        let Err(error) = tokio::net::TcpStream::connect((host, port)).await else {
+        let Err(error) = tokio::net::TcpStream::connect((hostname, port)).await else {
             return std::future::pending().await;
         };
         let hint = if error.kind() == ErrorKind::AddrNotAvailable {
@@ -233,20 +233,21 @@ fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     zenoh::open(config).wait()
 }
 
+/// Splits `tcp/HOST:PORT` into the name or address of a machine, and the port.
 fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
     if protocol != "tcp" {
         return Err(refuse("only the protocol tcp is supported"));
     }
-    let (host, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
-    if host.is_empty() || host.contains(['/', '?', '#', ',']) {
+    let (hostname, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
+    if hostname.is_empty() || hostname.contains(['/', '?', '#', ',']) {
         return Err(refuse("no host"));
     }
     let port = port
         .parse()
         .map_err(|_| refuse("the port is not a number up to 65535"))?;
-    Ok((host, port))
+    Ok((hostname, port))
 }
 
 /// Checks that `endpoint` can be listened on and replaces port 0 by a free port. zenoh would choose a port without
@@ -255,12 +256,12 @@ fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
 /// # Errors
 /// If the endpoint is invalid or in use.
 pub fn resolve_listen_endpoint(endpoint: &str) -> Result<String, BusError> {
-    let (host, port) = parse_endpoint(endpoint)?;
+    let (hostname, port) = parse_endpoint(endpoint)?;
     // The listener is dropped on return. If another process takes the port before zenoh, opening the session fails.
-    let bound = std::net::TcpListener::bind((host.trim_matches(['[', ']']), port))
+    let bound = std::net::TcpListener::bind((hostname.trim_matches(['[', ']']), port))
         .and_then(|listener| listener.local_addr())
         .map_err(|e| BusError::Listen(endpoint.to_owned(), e.to_string()))?;
-    Ok(format!("tcp/{host}:{}", bound.port()))
+    Ok(format!("tcp/{hostname}:{}", bound.port()))
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ pub struct Tap {
     tti: AtomicU64,
     /// The number of the next frame. Locked while that frame is queued: several threads copy messages, and the numbers
     /// must rise along the queue.
-    next_number: Mutex<u64>,
+    next_frame_number: Mutex<u64>,
     queue: SyncSender<(u64, Frame)>,
     dropped_frames: AtomicU64,
     /// Frames that are queued but not sent yet.
@@ -60,7 +60,7 @@ impl Tap {
             has_bus_observers: AtomicBool::new(false),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
-            next_number: Mutex::new(0),
+            next_frame_number: Mutex::new(0),
             queue,
             dropped_frames: AtomicU64::new(0),
             queued_frames: Arc::default(),
@@ -115,7 +115,8 @@ impl Tap {
         }
     }
 
-    /// Forwards a copy of a message that the bus carries in the current TTI; `number` is the one of [`Frame`].
+    /// Forwards a copy of a message that the bus carries in the current TTI. `number` is [`Frame::number`], not the
+    /// number of the frame in the queue.
     pub(super) fn forward_bytes(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
         self.forward(Frame {
             tti: Tti(self.tti.load(Ordering::Relaxed)),
@@ -128,7 +129,7 @@ impl Tap {
     /// Forwards a copy. Waits only for the sink.
     pub(super) fn forward(&self, frame: Frame) {
         // A sink panics before the number changes, so a poisoned lock still holds a valid number.
-        let mut next_number = self.next_number.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut next_frame_number = self.next_frame_number.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(sink) = self.sink.get() {
             // Called under the lock, so that the sink receives frames of several threads in the order of their
             // numbers.
@@ -137,12 +138,12 @@ impl Tap {
         if !self.has_bus_observers.load(Ordering::Relaxed) {
             return;
         }
-        let number = *next_number;
-        *next_number += 1;
+        let frame_number = *next_frame_number;
+        *next_frame_number += 1;
         // Counted before it is queued, because the thread may send it and count down before `try_send` returns. A full
         // queue drops the frame; the observer sees the gap in the numbers.
         self.queued_frames.fetch_add(1, Ordering::Relaxed);
-        if self.queue.try_send((number, frame)).is_err() {
+        if self.queue.try_send((frame_number, frame)).is_err() {
             self.queued_frames.fetch_sub(1, Ordering::Relaxed);
             self.dropped_frames.fetch_add(1, Ordering::Relaxed);
         }
@@ -191,7 +192,7 @@ mod tests {
             has_bus_observers: AtomicBool::new(true),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
-            next_number: Mutex::new(0),
+            next_frame_number: Mutex::new(0),
             queue,
             dropped_frames: AtomicU64::new(0),
             queued_frames: Arc::default(),

@@ -92,8 +92,8 @@ impl<T> RowCollector<T> {
         }
     }
 
-    /// Begins the next row, at `line` of a text file. Returns the columns to which its values go; `None` if the row is
-    /// not needed.
+    /// Begins the next row, at `line` of a text file. Returns the columns, to each of which the caller must add one
+    /// value; `None` if the row is not needed.
     ///
     /// # Errors
     /// If the needed rows have more values than memory should hold.

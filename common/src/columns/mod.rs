@@ -15,7 +15,7 @@ pub use data::ColumnData;
 pub(crate) const MAX_FILE_BYTES: u64 = 256 << 20;
 
 /// Reads the columns `wanted` of the file `bytes` as numbers; a file without rows is an error. The extension of `path`
-/// selects the format. Of a file with more than 10⁷ values, only `needed_rows` are kept, counted from 0.
+/// selects the format. Of a file with more than `MAX_VALUES` values, only `needed_rows` are kept, counted from 0.
 ///
 /// # Errors
 /// The problem with the file, without its name.

@@ -77,12 +77,12 @@ impl Declaration {
             if scope == Scope::Item && !self.list.inherits_section(section.path) {
                 continue;
             }
-            let rest = match (path, section.path) {
+            let below_path = match (path, section.path) {
                 ("", "") => None,
                 ("", other) => Some(other),
                 (path, other) => other.strip_prefix(path).and_then(|rest| rest.strip_prefix('.')),
             };
-            let name = rest.and_then(|rest| rest.split('.').next());
+            let name = below_path.and_then(|rest| rest.split('.').next());
             if let Some(name) = name.filter(|name| !names.contains(name)) {
                 names.push(name);
             }

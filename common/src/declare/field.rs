@@ -88,9 +88,9 @@ fn format_number(x: f64) -> String {
     }
 }
 
-/// Above 0, and not so large that squares and sums overflow.
+/// Above 0 and at most 10⁶, so that squares and sums do not overflow.
 pub const POSITIVE: Range = Range::above(0.0, 1e6);
-/// 0 or more, and not so large that squares and sums overflow.
+/// 0 to 10⁶, so that squares and sums do not overflow.
 pub const NOT_NEGATIVE: Range = Range::closed(0.0, 1e6);
 /// A share that may be 0 but not 1.
 pub const BELOW_ONE: Range = Range::below(0.0, 1.0);
@@ -132,7 +132,7 @@ pub enum FieldType {
     Text,
     /// The path of a file.
     File,
-    /// A word from a fixed list, or the path of a file.
+    /// A word from a fixed list, or the path of a file; unrelated to [`Field::source`].
     Source(&'static [Alternative]),
     /// A list of whole numbers.
     Wholes {

@@ -161,10 +161,12 @@ fn find_item<'t, 'a>(
     name: &str,
     origin: &LayerOrigin,
 ) -> Result<(usize, &'t mut DeTable<'a>), ScenarioError> {
-    let names: Vec<String> = items_mut(table, list).map(|item| item_name(item).to_owned()).collect();
+    let names: Vec<String> = items_mut(table, list)
+        .map(|item| name_of_item(item).to_owned())
+        .collect();
     let found = items_mut(table, list)
         .enumerate()
-        .find(|(_, item)| item_name(item) == name);
+        .find(|(_, item)| name_of_item(item) == name);
     found.ok_or_else(|| ScenarioError::Invalid {
         field: list.to_owned(),
         value: truncate(name),
@@ -177,7 +179,7 @@ fn find_item<'t, 'a>(
 }
 
 /// Returns the name of an item, or "".
-fn item_name<'t>(item: &'t DeTable<'_>) -> &'t str {
+fn name_of_item<'t>(item: &'t DeTable<'_>) -> &'t str {
     item.get("name")
         .and_then(|name| name.get_ref().as_str())
         .unwrap_or_default()

@@ -116,7 +116,7 @@ impl<'a> FieldReader<'a> {
         let is_own = self
             .readable_prefix
             .as_ref()
-            .is_none_or(|scope| path.starts_with(scope));
+            .is_none_or(|prefix| path.starts_with(prefix));
         assert!(is_own, "a policy may read only its own fields, not {path}");
     }
 
@@ -218,8 +218,8 @@ impl<'a> FieldReader<'a> {
     /// Converts `path` to this table: fields that only an item has lose the name of the list.
     fn path_in_table<'p>(&self, path: &'p str) -> &'p str {
         let own = path.strip_prefix(self.declaration.list.name());
-        match (&self.item, own.and_then(|rest| rest.strip_prefix('.'))) {
-            (Some(_), Some(rest)) => rest,
+        match (&self.item, own.and_then(|own| own.strip_prefix('.'))) {
+            (Some(_), Some(own_path)) => own_path,
             (Some(_), None) | (None, _) => path,
         }
     }

@@ -176,8 +176,8 @@ fn condition_rules(declaration: &Declaration, scope: Scope) -> Json {
                 let path = section.path_of(field.name);
                 if let Some(other) = field.instead_of {
                     let conditions = [&path, &section.path_of(other)].map(|path| value_condition(path, None));
-                    let both = json!({ "allOf": conditions });
-                    rules.push(json!({ "not": both }));
+                    let both_are_set = json!({ "allOf": conditions });
+                    rules.push(json!({ "not": both_are_set }));
                 }
                 let condition = section.condition(field);
                 if let Some(condition) = condition.filter(|_| !matches!(field.default, FieldDefault::Value(_))) {

@@ -207,8 +207,8 @@ pub(super) fn format_toml(value: &FieldValue<'_>) -> String {
 
 /// Formats the energy in units, as an exact decimal number.
 fn format_units(energy: Energy) -> String {
-    let (whole, rest) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
-    let digits = format!("{rest:06}");
+    let (whole, micro) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
+    let digits = format!("{micro:06}");
     let decimals = digits.trim_end_matches('0');
     format!("{whole}.{}", if decimals.is_empty() { "0" } else { decimals })
 }

@@ -1,5 +1,6 @@
 //! The energy balance of a scenario before it runs: expected harvest against the costs of sensing, sleeping and
-//! reporting, by device class, and the part of the area out of reach.
+//! reporting, by device class, and the part of the area out of reach. `reveille scenario` prints it, and
+//! `study/src/misses/advice.rs` advises with it; no run depends on it.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;

@@ -39,16 +39,16 @@ impl EventBursts {
             return self.alpha();
         }
         let mut phases = self.phases(seed);
-        let (mut k, mut busy_ttis) = (first, 0);
+        let (mut k, mut busy_count) = (first, 0);
         while k < end {
             let phase = phases.phase_at(k);
             let next = phase.end.min(end);
             if phase.is_busy {
-                busy_ttis += next - k;
+                busy_count += next - k;
             }
             k = next;
         }
-        mean_alpha(self, busy_ttis as f64, (end - first - busy_ttis) as f64)
+        mean_alpha(self, busy_count as f64, (end - first - busy_count) as f64)
     }
 
     fn phases(&self, seed: u64) -> Phases {

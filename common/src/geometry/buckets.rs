@@ -45,11 +45,11 @@ impl Buckets {
         }
         // A counting sort keeps points of a cell in the order of their indices, so queries visit them alike in every
         // run.
-        let mut next = buckets.cell_starts.clone();
+        let mut next_free = buckets.cell_starts.clone();
         for (index, &p) in (0..).zip(points) {
             let cell = buckets.cell_index(p);
-            buckets.points[next[cell] as usize] = (index, p);
-            next[cell] += 1;
+            buckets.points[next_free[cell] as usize] = (index, p);
+            next_free[cell] += 1;
         }
         buckets
     }

@@ -21,14 +21,14 @@ pub struct FileLayout {
 }
 
 impl FileLayout {
-    /// Reads the first `devices` devices of `file`, which must all lie on `area`. The column `class` uses the names in
-    /// `classes`, which is empty for a scenario without classes.
+    /// Reads the first `devices` devices of `file`, which must all lie on `area`. The column `class` uses
+    /// `class_names`, which is empty for a scenario without classes.
     pub(super) fn from_fields(
         reader: &FieldReader<'_>,
         file: &str,
         area: Area,
         devices: u32,
-        classes: &[&str],
+        class_names: &[&str],
     ) -> Result<Self, ScenarioError> {
         let path = reader.file(FILE_FIELD, file)?;
         let count = devices as usize;
@@ -41,7 +41,7 @@ impl FileLayout {
                     columns::read_texts(&path, &bytes, "class")?,
                 ))
             });
-        let ((points, rows), names) = match columns {
+        let ((points, rows), class_column) = match columns {
             Ok(columns) => columns,
             Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
         };
@@ -51,8 +51,8 @@ impl FileLayout {
                 path.display()
             ));
         }
-        let classes = match names {
-            Some(names) if !classes.is_empty() => match class_indices(&names, classes, count) {
+        let classes = match class_column {
+            Some(column) if !class_names.is_empty() => match class_indices(&column, class_names, count) {
                 Ok(indices) => Some(Arc::new(indices)),
                 Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
             },
@@ -120,21 +120,21 @@ fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(V
     }
 }
 
-/// The indices in `classes` of the first `count` names.
-fn class_indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
+/// The indices in `class_names` of the first `count` names in `column`.
+fn class_indices(column: &ColumnData<String>, class_names: &[&str], count: usize) -> Result<Vec<u16>, String> {
     let class_index = |(row, name): (usize, &String)| {
-        let index = classes.iter().position(|class| class == name);
+        let index = class_names.iter().position(|class| class == name);
         // A scenario has at most MAX_CLASSES classes, so the index fits.
         index.map(|index| index as u16).ok_or_else(|| {
             format!(
                 "{}, column `class`: the scenario has no class \"{}\"; its classes are {}{}",
-                names.describe_row(row),
+                column.describe_row(row),
                 truncate(name),
-                quoted_list(classes.iter().copied()),
-                did_you_mean(name, classes.iter().copied())
+                quoted_list(class_names.iter().copied()),
+                did_you_mean(name, class_names.iter().copied())
             )
         })
     };
-    let column = names.values.first().into_iter().flatten();
-    column.take(count).enumerate().map(class_index).collect()
+    let names = column.values.first().into_iter().flatten();
+    names.take(count).enumerate().map(class_index).collect()
 }

@@ -57,7 +57,7 @@ impl Layout {
     /// The fields of a layout.
     pub const SECTION: &'static Section = Settings::SECTION;
 
-    /// Builds the layout in `reader`, for `devices` devices of the classes `classes` on `area`.
+    /// Builds the layout in `reader`, for `devices` devices on `area`; `class_names` as in the scenario.
     ///
     /// # Errors
     /// If a file is missing or does not have enough valid devices.
@@ -65,7 +65,7 @@ impl Layout {
         reader: &FieldReader<'_>,
         area: Area,
         devices: u32,
-        classes: &[&str],
+        class_names: &[&str],
     ) -> Result<Self, ScenarioError> {
         let Settings { kind, file } = Settings::read(reader)?;
         Ok(match kind {
@@ -76,7 +76,7 @@ impl Layout {
             LayoutKind::Hex => Self::Hex,
             LayoutKind::File => {
                 let file = file.ok_or_else(|| reader.missing_value("layout.file", "layout.kind"))?;
-                Self::File(FileLayout::from_fields(reader, &file, area, devices, classes)?)
+                Self::File(FileLayout::from_fields(reader, &file, area, devices, class_names)?)
             }
         })
     }

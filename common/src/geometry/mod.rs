@@ -1,5 +1,5 @@
 //! The area, the positions of devices in it, and the bounded Voronoi diagram. Digests depend on distances bit for bit.
-//! [`Point`] is also part of messages.
+//! [`Point`] is also part of messages: a change of its fields raises `WIRE_VERSION`.
 
 mod buckets;
 mod file;

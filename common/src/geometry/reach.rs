@@ -1,4 +1,5 @@
-//! The part of the area that no device reaches, from the exact Voronoi cells.
+//! The part of the area that no device reaches, from the exact Voronoi cells: for `energy_balance`. No digest depends
+//! on it.
 
 use super::voronoi::{sorted_distinct_sites, visit_cells};
 use super::{Area, Point};

@@ -301,8 +301,8 @@ mod tests {
         let without_twins = farthest_cell_vertex(&points, SQUARE);
         for gap in [0.0, 1e-15, 1e-13, 1e-10, 1e-7] {
             let twins = points.iter().map(|p| Point::new(p.x + gap, p.y - gap));
-            let both: Vec<_> = points.iter().copied().chain(twins).collect();
-            let distance = farthest_cell_vertex(&both, SQUARE);
+            let with_twins: Vec<_> = points.iter().copied().chain(twins).collect();
+            let distance = farthest_cell_vertex(&with_twins, SQUARE);
             assert!(
                 (distance - without_twins).abs() <= 2.0 * gap + 1e-9,
                 "gap {gap}: {distance} m, not {without_twins}"

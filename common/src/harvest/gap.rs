@@ -1,4 +1,4 @@
-//! The longest stretch of a run in which a source certainly harvests nothing, such as a night.
+//! The longest stretch of a run in which a source certainly harvests nothing, such as a night: for `energy_balance`.
 
 use crate::ids::Tti;
 
@@ -15,13 +15,13 @@ pub struct HarvestGap {
 /// `pattern` yields parts of constant harvest: whether it is 0, and the length in TTIs. The pattern repeats, or nothing
 /// follows if it `stops`.
 pub(super) fn longest_gap(pattern: impl Iterator<Item = (bool, u64)> + Clone, stops: bool, ttis: u64) -> HarvestGap {
-    let end = stops.then_some((true, u64::MAX));
+    let dark_end = stops.then_some((true, u64::MAX));
     // A gap across the end of the pattern lies within its second repetition. If all parts are dark, so is the run.
     let is_dark = pattern.clone().all(|(is_zero, _)| is_zero);
     let repetition = pattern.clone().filter(|_| !stops);
     let parts = pattern
         .chain(repetition)
-        .chain(end.or(is_dark.then_some((true, u64::MAX))));
+        .chain(dark_end.or(is_dark.then_some((true, u64::MAX))));
     let mut tti = 0_u64;
     let mut gap = HarvestGap {
         first: Tti::ZERO,

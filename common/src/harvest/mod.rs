@@ -86,9 +86,9 @@ pub enum Harvest {
 impl Harvest {
     /// The fields of all kinds.
     pub(crate) const SECTIONS: [&'static Section; 7] = {
-        let [recorded, trace, panel] = HarvestTrace::SECTIONS;
+        let [quantity, trace, panel] = HarvestTrace::SECTIONS;
         let (arrivals, mpp, diurnal) = (Arrivals::SECTION, OnOff::SECTION, Diurnal::SECTION);
-        [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
+        [Settings::SECTION, arrivals, mpp, diurnal, quantity, trace, panel]
     };
 
     /// Builds the source in `reader`, for a run of `ttis` TTIs of duration `tau`.

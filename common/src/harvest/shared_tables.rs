@@ -129,14 +129,14 @@ impl CumulativeHazard {
             return Tti::NEVER;
         }
         let (day, slot) = (from.0 / ttis, (from.0 % ttis) as usize);
-        let before = slot.checked_sub(1).map_or(0.0, |last| self.cumulative[last]);
-        let target = before + hazard;
+        let hazard_before = slot.checked_sub(1).map_or(0.0, |last| self.cumulative[last]);
+        let target = hazard_before + hazard;
         let days = (target / whole_day).floor();
-        // Rounding can make the rest slightly negative.
-        let rest = (target - days * whole_day).max(0.0);
+        // Rounding can make the difference slightly negative.
+        let hazard_in_day = (target - days * whole_day).max(0.0);
         let mut day = day.saturating_add(days as u64);
         // A dark TTI ends with the sum of the TTI before it, so it is never chosen.
-        let mut slot = self.cumulative.partition_point(|&end| end <= rest);
+        let mut slot = self.cumulative.partition_point(|&end| end <= hazard_in_day);
         if slot == self.cumulative.len() {
             // Only rounding leads here: the arrival is in the first lit TTI of the next day.
             day = day.saturating_add(1);

@@ -1,6 +1,7 @@
 //! Actions of an operator on a run: devices fail, are revived or receive energy, and settings change. An action is an
 //! external input of the run and an entry of the input log. Base stations send it to hosts ([`ClockMessage`]), and
-//! observers receive a copy. Fields and variants are encoded by position.
+//! observers receive a copy. Fields and variants are encoded by position: a change raises `WIRE_VERSION`. A new variant
+//! also needs a form in the input log (`lab/src/external_inputs/mod.rs`) and in the digest (`score/digest.rs`).
 //!
 //! [`ClockMessage`]: super::ClockMessage
 

@@ -1,5 +1,5 @@
 //! The air plane: δ plans, reports and wake-ups, as a deployment would send them over the radio. Metrics count their
-//! encoded bytes. Names and order of fields are part of recordings (`view/src/schemas.rs`).
+//! encoded bytes. Names of fields are part of recordings (`view/src/schemas.rs`), their order of `WIRE_VERSION`.
 
 use std::fmt;
 
@@ -34,17 +34,17 @@ impl Concerns for PlanUpdate {
 impl fmt::Display for PlanUpdate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { from, plan } = self;
-        let (positions, kind) = match plan {
+        let (entries, kind) = match plan {
             // A plan of bits does not hold N. The spare bits of its last byte are 0 and add no device to the count.
             Plan::Bits { bits } => (bits.len() * 8, ""),
             Plan::Periodic(cycles) => (cycles.len(), "periodic, "),
         };
-        let on = || (0..positions as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
+        let on = || (0..entries as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
         let count = on().count();
         write!(f, "δ from TTI {from}: {kind}")?;
         match plan {
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
-            Plan::Periodic(_) => write!(f, "{count} of {positions} devices sense first")?,
+            Plan::Periodic(_) => write!(f, "{count} of {entries} devices sense first")?,
         }
         for (nth, device) in on().take(MAX_DEVICES_SHOWN).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;

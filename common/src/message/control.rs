@@ -1,5 +1,5 @@
 //! The emulation plane between operators and the BS: commands to the virtual clock, and its status. Fields and variants
-//! are encoded by position.
+//! are encoded by position: a change raises `WIRE_VERSION`. `tests/untrusted_clients/bus.py` repeats some bytes.
 
 use core::time::Duration;
 use std::fmt;
@@ -28,7 +28,8 @@ impl fmt::Display for Pace {
     }
 }
 
-/// Emulation, any client → BS, a query: commands to the virtual clock.
+/// Emulation, any client → BS, a query: commands to the virtual clock. All except [`Self::Status`] need the run's key,
+/// if the run has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClockCommand {
     /// Grant nothing until a command lets the clock run.

@@ -1,5 +1,5 @@
 //! The emulation plane between base station and hosts: joining, grants and answers. Fields and variants are encoded by
-//! position; [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
+//! position: a change raises `WIRE_VERSION`. [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
 
 use std::fmt;
 use std::sync::Arc;
@@ -86,6 +86,9 @@ pub struct HostCheckpoint {
 
 impl HostCheckpoint {
     /// Returns the checkpoint of `count` devices from position `first`.
+    ///
+    /// # Panics
+    /// If there are fewer devices.
     #[must_use]
     pub fn slice(&self, first: usize, count: usize) -> Self {
         Self {

@@ -1,4 +1,5 @@
 //! Copies of messages for observers ([`Frame`], the unit of a recording), and the observers' queries about a run.
+//! Fields are encoded by position: a change raises `WIRE_VERSION`.
 
 use std::fmt;
 
@@ -15,7 +16,8 @@ pub struct Frame {
     pub tti: Tti,
     /// The kind of the message.
     pub kind: MessageKind,
-    /// The number of a device or a host at the end of its key, if the kind has one.
+    /// The device or host of [`MessageKind::addressee`], if the kind has one. A report has its device, although its key
+    /// on the bus names the host.
     pub number: Option<u32>,
     /// The payload as sent.
     pub payload: Vec<u8>,
@@ -32,7 +34,7 @@ impl Frame {
         }
     }
 
-    /// Returns the device that sent or received the message; `None` if the key names a host or has no number.
+    /// Returns the device that sent or received the message; `None` if the kind has a host or no number.
     pub fn device(&self) -> Option<DeviceId> {
         let names_device = self.kind.addressee() == Addressee::Device;
         self.number.filter(|_| names_device).map(DeviceId)
@@ -103,6 +105,6 @@ pub struct InputLogPart {
 }
 
 impl InputLogPart {
-    /// Minimum length in bytes of every part except the last: a shorter part ends the log.
+    /// Length in bytes of a part, except a longer one with a single line. A shorter part ends the log.
     pub const MAX_BYTES: u64 = 4 << 20;
 }

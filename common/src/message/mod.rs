@@ -76,7 +76,7 @@ macro_rules! messages {
                 }
             }
 
-            /// The kind of number in its key.
+            /// The kind of number in its frames.
             pub const fn addressee(self) -> Addressee {
                 match self {
                     $(Self::$kind => <$address as Address>::ADDRESSEE,)+
@@ -161,7 +161,7 @@ macro_rules! messages {
                 }
             }
 
-            /// Whether the message is to, from or about `device`; `number` is the one in its key.
+            /// Whether the message is to, from or about `device`; `number` is [`Frame::number`].
             pub fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
                 match self {
                     $(Self::$kind(message) => message.concerns(number, device),)+
@@ -290,10 +290,10 @@ pub enum Access {
     Anyone,
 }
 
-/// The kind of number in the key of a message.
+/// The kind of [`Frame::number`] of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addressee {
-    /// No number: the kind has a single key.
+    /// No number.
     Unaddressed,
     /// A device: the receiver of a wake-up, the sender of a report.
     Device,
@@ -367,7 +367,7 @@ pub trait Query: Payload {
 
 /// A message that may concern a device.
 pub trait Concerns {
-    /// Whether the message is to, from or about `device`; `number` is the one in its key. Most messages concern no
+    /// Whether the message is to, from or about `device`; `number` is [`Frame::number`]. Most messages concern no
     /// single device.
     fn concerns(&self, number: Option<u32>, device: DeviceId) -> bool {
         let _ = (number, device);

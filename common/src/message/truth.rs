@@ -1,5 +1,6 @@
 //! The truth plane, only for observers: the modelled world, and the beliefs of the base station. Its messages never
-//! cross the bus as such; `bs/src/observer/` builds them. [`DeviceRemoval`] is also an entry of the input log.
+//! cross the bus as such; `bs/src/observer/` builds them. Fields and variants are encoded by position: a change raises
+//! `WIRE_VERSION`. [`DeviceRemoval`] is also an entry of the input log, by the names of its fields.
 
 use std::fmt;
 

@@ -7,7 +7,7 @@
 //!                   └────────► RadioLossRates: means        ─► the base station's knowledge
 //! ```
 //! Every draw is keyed by device and TTI. So the world, a device and an observer compute the same losses without a
-//! message.
+//! message. Digests depend on the draws; names and order of the fields are part of the scenario hash.
 
 mod air;
 mod bursts;

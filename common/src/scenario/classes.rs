@@ -22,7 +22,8 @@ const DEFAULT_CLASS_NAME: &str = "default";
 pub struct DeviceClass {
     /// Its name in files and tables.
     pub name: String,
-    /// The share of the N devices, `(0, 1]`; 0 for a class without devices.
+    /// The share of all N devices, `(0, 1]`, 0 for a class without devices: declared if every class has a share,
+    /// otherwise counted. [`Members::Share`] is the share of the devices that no class selects.
     pub share: f64,
     /// The rule that determines its members.
     pub members: Members,

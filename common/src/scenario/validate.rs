@@ -124,13 +124,13 @@ fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Re
 fn undetected_events_warning<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
     let (path, budget) = scenario.policy.delay_budget()?;
     let missed_pct = 100.0 * scenario.events.missed_share(budget);
-    let lasts = match scenario.events.duration {
+    let length = match scenario.events.duration {
         1 => "1 TTI".to_owned(),
         several => format!("{several} TTIs"),
     };
     (missed_pct >= 1.0).then(|| {
         format!(
-            "{path} = {budget} leaves a place unsensed for up to {budget} TTIs, and events last {lasts}{}: up to \
+            "{path} = {budget} leaves a place unsensed for up to {budget} TTIs, and events last {length}{}: up to \
              {missed_pct:.0} % of them can end undetected; set a smaller {path}",
             match scenario.events.duration_kind {
                 DurationKind::Fixed => "",

@@ -48,7 +48,8 @@ struct OpenEvent {
     late_wake_ups: u64,
 }
 
-/// The score of an unfinished run.
+/// The score of an unfinished run. Records of reports, failed transmissions and wake-ups panic unless an event is
+/// active.
 #[derive(Clone, Debug)]
 pub struct Score {
     warm_up_end: Tti,
@@ -245,7 +246,8 @@ impl Score {
         self.count_control(tti, bytes);
     }
 
-    /// Records the outcome of the wake-up of `device`; `is_far` if the device is farther than d_max from the event.
+    /// Records the outcome of the last recorded wake-up, which went to `device`; `is_far` if the device is farther than
+    /// d_max from the event.
     pub fn record_wake_up_outcome(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
         self.digest.add_wake_up(tti, device, outcome);
         let is_measured = tti >= self.warm_up_end;

@@ -19,6 +19,9 @@ pub struct Battery {
 
 impl Battery {
     /// Creates the battery of a device at the start of a run.
+    ///
+    /// # Panics
+    /// If the initial level exceeds E_max, which loading a scenario and `HostSetup::validate` rule out.
     pub fn new(model: &EnergyModel) -> Self {
         assert!(model.initial <= model.e_max, "a battery starts with at most E_max");
         Self {

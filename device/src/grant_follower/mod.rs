@@ -60,12 +60,14 @@ pub struct WakeUpTask {
 /// A host's view of the clock and of its devices' δ.
 #[derive(Clone, Debug)]
 pub struct GrantFollower {
-    first: DeviceId,
+    first_device: DeviceId,
     positions: Vec<Point>,
     d_max: f64,
+    /// The first TTI after the run.
     end: Tti,
     duties: Vec<DutyCycle>,
     radio: RadioSettings,
+    /// The losses of plans, in the order of TTIs.
     air: Air,
     /// The first TTI of the current plan of this host.
     plan_from: Option<Tti>,
@@ -75,6 +77,7 @@ pub struct GrantFollower {
     pending_changes: Option<(Tti, Vec<Change>)>,
     /// The first TTI that is not granted yet.
     next: Tti,
+    /// The last executed grant.
     grant: Option<GrantMessage>,
     last_request: Option<HostRequest>,
 }
@@ -95,16 +98,19 @@ pub struct FollowerStart {
 impl GrantFollower {
     /// Creates the follower of a host in a run that ends before TTI `end`. Its devices sense events within `d_max`, m;
     /// `seed` and `radio` are the run's.
+    ///
+    /// # Panics
+    /// If `start` has not one duty cycle for each position.
     pub fn new(start: FollowerStart, d_max: f64, end: Tti, seed: u64, radio: &RadioSettings) -> Self {
         let FollowerStart {
-            first,
+            first: first_device,
             positions,
             duties,
             resume_point: ResumePoint { next, plan_from },
         } = start;
         assert_eq!(positions.len(), duties.len(), "a δ for each device");
         Self {
-            first,
+            first_device,
             positions,
             d_max,
             end,
@@ -141,8 +147,8 @@ impl GrantFollower {
         is_due
     }
 
-    /// Stores the changes at the start of TTI `tti` for the grant that they belong to. Returns `false` for a granted
-    /// TTI and for a TTI after the end of the run.
+    /// Stores the changes at the start of TTI `tti` for the grant that they belong to, in place of changes stored
+    /// before. Returns `false` for a granted TTI and for a TTI after the end of the run.
     pub fn receive_changes(&mut self, tti: Tti, changes: Vec<Change>) -> bool {
         let is_due = tti >= self.next && tti < self.end;
         if is_due {
@@ -205,13 +211,13 @@ impl GrantFollower {
     /// Processes a wake-up for `device`. Returns `None` if the device belongs to another host or the wake-up is outside
     /// its TTI.
     pub fn receive_wake_up(&self, device: DeviceId, wake: WakeUp) -> Option<WakeUpTask> {
-        let device = device.index().checked_sub(self.first.index())?;
-        let grant = self.grant.filter(|_| device < self.duties.len())?;
+        let index = device.index().checked_sub(self.first_device.index())?;
+        let grant = self.grant.filter(|_| index < self.duties.len())?;
         let stimulus = grant.stimulus?;
         // With a wake-up delay, later wake-ups of this TTI are sent in TTIs after it.
         let is_in_grant = self.radio.is_valid_send_tti(wake.tti, grant.last);
         is_in_grant.then(|| WakeUpTask {
-            device,
+            device: index,
             tti: grant.last,
             stimulus: (!self.radio.is_late(wake.tti, grant.until)).then_some(stimulus),
         })
@@ -224,8 +230,13 @@ impl GrantFollower {
         // In the order of TTIs, because `Air` never goes back.
         for (from, plan) in std::mem::replace(&mut self.pending_plans, later_plans) {
             self.plan_from = Some(from);
-            let Self { air, duties, first, .. } = self;
-            air.deliver_plan(from, &plan, *first, duties.len(), |j, duty| {
+            let Self {
+                air,
+                duties,
+                first_device,
+                ..
+            } = self;
+            air.deliver_plan(from, &plan, *first_device, duties.len(), |j, duty| {
                 if duties[j] != duty {
                     duties[j] = duty;
                     changes.push((j, from, duty));

@@ -18,7 +18,8 @@ pub(crate) enum DeviceCommand {
     Duty(Tti, DutyCycle),
     /// Emulation plane: a change that an operator makes at the start of a TTI.
     Change(Tti, Change),
-    /// Emulation plane: end all TTIs before this one and add the totals to the round.
+    /// Emulation plane: end all TTIs before this one and add the ledger to the round, which sends it whole or only its
+    /// totals, by its request.
     AdvanceTo(Tti, Arc<AnswerRound>),
     /// Emulation plane: begin this TTI, if it has not begun, and add state and battery to the round.
     View(Tti, Arc<AnswerRound>),

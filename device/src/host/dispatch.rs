@@ -3,9 +3,9 @@
 //!
 //! A host with a small capacity processes a message on the thread that delivers it. This saves a thread switch per
 //! message, which is most of the cost of a quiet TTI. The same thread also empties the link's queue, because device
-//! processes give zenoh one thread. The host's output per message must therefore fit into the queue of 128 KiB.
-//! Otherwise the thread would wait for itself until the link times out. A host with a large capacity uses another
-//! thread.
+//! processes give zenoh one thread (`deploy/src/child_process.rs`). The host's output per message must therefore fit
+//! into the queue of 128 KiB. Otherwise the thread would wait for itself until the link times out. A host with a large
+//! capacity uses another thread.
 
 use std::sync::Arc;
 

@@ -56,7 +56,7 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
                 return Ok(());
             };
             let spare_devices = config.max_devices.saturating_sub(assignment.devices.len() as u32);
-            let own_run = run_assignment(bus, assignment, &config, on_event);
+            let own_assignment = run_assignment(bus, assignment, &config, on_event);
             let exit = if spare_devices > 0 && config.stands_by {
                 // Devices taken over later share this process's link. The total capacity therefore decides, not the
                 // remaining capacity.
@@ -67,9 +67,9 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
                     ..config.clone()
                 };
                 let takeovers = run_host(bus, takeover_config, &|_| {});
-                run_with_takeovers(own_run, takeovers).await?
+                run_with_takeovers(own_assignment, takeovers).await?
             } else {
-                own_run.await?
+                own_assignment.await?
             };
             match exit {
                 HostExit::Dismissed => return Ok(()),
@@ -83,21 +83,21 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
     })
 }
 
-/// Returns the result of `own_run`. `takeovers`, which runs devices of lost hosts, only logs its failures.
+/// Returns the result of `own_assignment`. `takeovers`, which runs devices of lost hosts, only logs its failures.
 async fn run_with_takeovers(
-    own_run: impl Future<Output = Result<HostExit, HostError>>,
+    own_assignment: impl Future<Output = Result<HostExit, HostError>>,
     takeovers: HostFuture<'_>,
 ) -> Result<HostExit, HostError> {
-    tokio::pin!(own_run);
+    tokio::pin!(own_assignment);
     tokio::select! {
-        // `own_run` is polled first: if both have ended, its outcome counts.
+        // `own_assignment` is polled first: if both have ended, its outcome counts.
         biased;
-        exit = &mut own_run => exit,
+        exit = &mut own_assignment => exit,
         result = takeovers => {
             if let Err(error) = result {
                 tracing::debug!(%error, "no more devices for this process");
             }
-            own_run.await
+            own_assignment.await
         }
     }
 }
@@ -157,10 +157,10 @@ async fn run_assignment(
     on_event(HostEvent::Joined(host, first, last));
     let bus = bus.with_secret(assignment.credentials.secret);
     let shared = Arc::new(HostShared::new(&bus, assignment)?);
-    let receiver = Arc::clone(&shared);
+    let message_handler = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
     let dispatcher = Dispatcher::new(config.max_devices.max(count), config.forces_worker, move |message| {
-        receiver.dispatch(message);
+        message_handler.dispatch(message);
     });
     let _declared = shared.declare(&bus, dispatcher)?;
     match bus

@@ -1,8 +1,8 @@
 //! A host process: joins a run, runs the devices of its assignment, and answers the grants for all of them.
 //!
 //! In a TTI without a stimulus the host answers immediately; its devices catch up when they are next needed. In a TTI
-//! with a stimulus it wakes the actors of the devices that have δ = 1 and are within range. The last of them to finish
-//! sends the answer. An actor must receive its commands in the order of the steps within a TTI.
+//! with a stimulus it sends commands to the actors of the devices that have δ = 1 and are within range. The last of
+//! them to finish sends the answer. An actor must receive its commands in the order of the steps within a TTI.
 
 pub(crate) mod actor;
 pub mod answer_round;
@@ -30,8 +30,8 @@ use crate::machine::{Machine, Physics};
 pub use self::join::{HostConfig, HostEvent, run_host};
 
 /// Time limit for asking a base station that is back whether it still knows this host. A restarted base station serves
-/// other keys, so no answer comes. The limit can be short: a base station declares its token last, so it can answer as
-/// soon as it is back. A host that gives up too soon needs a new assignment.
+/// other keys, so no answer comes. The limit can be short: a base station declares its liveliness token last, so it can
+/// answer as soon as it is back. A host that gives up too soon needs a new assignment.
 const STILL_KNOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A reason why a host cannot do its work.
@@ -269,6 +269,7 @@ impl HostShared {
         }
     }
 
+    /// Processes a message. Calls must not overlap: the link and [`Dispatcher`] deliver messages one by one, in order.
     fn dispatch(&self, message: HostMessage) {
         match message {
             HostMessage::Plan(update) => self.on_plan(update),
@@ -310,10 +311,10 @@ impl HostShared {
     }
 
     /// Records how the run has ended. The base station's first message counts, unless a device has failed before.
-    fn record_run_end(&self, end: HostStatus) {
+    fn record_run_end(&self, final_status: HostStatus) {
         self.status.send_modify(|status| match status {
             HostStatus::Dismissed | HostStatus::RunFailed(_) | HostStatus::DeviceFailed => {}
-            HostStatus::Running | HostStatus::BsMissing | HostStatus::BsBack => *status = end,
+            HostStatus::Running | HostStatus::BsMissing | HostStatus::BsBack => *status = final_status,
         });
     }
 
@@ -373,7 +374,8 @@ impl HostShared {
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
 
-    /// Returns the task of a request, if any. A repeated request gets the same answer again.
+    /// Returns the task of a request, if any, with the state still locked; [`Self::open_round`] releases it. A repeated
+    /// request gets the same answer again.
     fn take_task<T>(
         &self,
         follow: impl FnOnce(&mut GrantFollower) -> Disposition<T>,
@@ -401,7 +403,7 @@ impl HostShared {
         }
     }
 
-    /// Opens the answer to a request, with one part of the host and `parts` parts of devices.
+    /// Opens the answer to a request, with one part of the host and `parts` parts of devices, and unlocks `state`.
     fn open_round(&self, mut state: MutexGuard<'_, HostState>, request: HostRequest, parts: usize) -> Arc<AnswerRound> {
         let round = Arc::new(AnswerRound::new(self.credentials.credential.host, request, parts));
         state.round = Some(Arc::clone(&round));

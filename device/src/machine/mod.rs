@@ -13,14 +13,16 @@
 //!            wake-up received (WuR powered)
 //! ```
 //! A device that cannot pay for S1 or for its wake-up radio is left with an empty battery: in S4, unpowered until the
-//! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
-//! empties its battery, the device still receives wake-up signals in that TTI.
+//! next TTI. A false or late wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless
+//! that empties its battery, the device still receives wake-up signals in that TTI.
 //!
 //! An operator can let the device fail. A failed device is in none of the states S1 to S4 and consumes no energy; its
 //! battery still receives harvest.
 //!
 //! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
-//! time ([`Machine::advance_to`]). The result must equal single steps, which `tests/step_by_step.rs` checks.
+//! time ([`Machine::advance_to`]). The result must equal single steps: `machine/tests/step_by_step.rs` checks this for
+//! devices that never fail, `tests/tests/actions.rs` for others. Callers name TTIs in ascending order; a step back
+//! panics.
 
 use std::sync::Arc;
 
@@ -42,7 +44,8 @@ use serde::{Deserialize, Serialize};
 use crate::battery::Battery;
 use crate::ledger::LedgerBuilder;
 
-/// Largest number of TTIs per span: levels of up to 10¹⁵ micro-units, summed over this many, fit in 64 bits.
+/// Largest number of TTIs per span: levels of up to 10¹⁵ micro-units, `MAX_UNITS` in `common/src/units.rs`, summed over
+/// this many, fit in 64 bits.
 const MAX_SPAN_TTIS: u64 = 1 << 13;
 
 /// The outcome of a stimulus for a device.
@@ -253,7 +256,7 @@ impl Machine {
         }
     }
 
-    /// Sets δ to `duty` from TTI `from` on.
+    /// Sets δ to `duty` from TTI `from` on, which must not have begun.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
         if duty != self.duty && !self.is_removed {
             self.advance_to(from);
@@ -400,7 +403,8 @@ impl Machine {
         }
     }
 
-    /// Returns whether the device has δ = 1 in TTI `k` and is near enough to detect `stimulus`, battery permitting.
+    /// Returns whether the device has δ = 1 in TTI `k` and is within d_max of `stimulus`. The draw of the detection and
+    /// the battery decide later, in [`Self::sense`].
     pub fn can_detect(&self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> bool {
         self.duty.is_on(k) && self.position.distance(stimulus.epicentre) <= physics.sensing.d_max
     }
@@ -449,12 +453,13 @@ impl Machine {
         self.wake_up_radio.as_mut().is_some_and(|radio| radio.misses_wake_up(k))
     }
 
-    /// The device's totals over all TTIs that have ended.
+    /// The device's totals over all TTIs that have ended. A TTI that has begun must have ended, as after
+    /// [`Self::advance_to`].
     pub fn totals(&self) -> DeviceTotals {
         self.ledger_builder.totals(self.next, &self.costs, &self.battery)
     }
 
-    /// The device's ledger over all TTIs that have ended.
+    /// The device's ledger over all TTIs that have ended, as for [`Self::totals`].
     pub fn ledger(&self) -> Ledger {
         self.ledger_builder.ledger(self.totals())
     }

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_edge_of_the_area_is_not_a_border() {
+    fn cluster_borders_leave_out_the_edge_of_the_area() {
         let points = [Point::new(9.5, 10.0), Point::new(10.5, 10.0)];
         let lines = cluster_borders(&points, &voronoi_cells(&points, AREA), &[0, 1]);
         assert_eq!(lines.len(), 1, "{lines:?}");

@@ -48,7 +48,7 @@ impl fmt::Display for Advice {
 }
 
 /// Returns the ways in which the base station's policy senses more.
-fn sense_more(policy: &str) -> Vec<&'static str> {
+fn ways_to_sense_more(policy: &str) -> Vec<&'static str> {
     match policy {
         "knn" => vec![
             "choose policy age-index with a low policy.age-index.price",
@@ -64,7 +64,7 @@ fn sense_more(policy: &str) -> Vec<&'static str> {
 }
 
 /// Returns the ways in which the base station's policy senses less.
-fn sense_less(policy: &str) -> Vec<&'static str> {
+fn ways_to_sense_less(policy: &str) -> Vec<&'static str> {
     match policy {
         "adjusted" => vec!["choose policy age-index", "lengthen policy.adjusted.t_drx"],
         "q-learning" => vec!["lengthen policy.q-learning.window"],
@@ -194,7 +194,7 @@ impl<'s> WeakestClass<'s> {
     fn save_energy(&self, energy: Option<RunEnergy>, policy: &str, spend_less: &[&str]) -> Vec<String> {
         let mut changes = self.harvest_more(energy);
         if self.can_sleep() {
-            let others = spend_less.iter().copied().chain(sense_less(policy));
+            let others = spend_less.iter().copied().chain(ways_to_sense_less(policy));
             changes.extend(others.map(str::to_owned));
         }
         changes
@@ -275,7 +275,7 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
                     ));
                     harvest_more()
                 }
-                None => owned(sense_more(policy)),
+                None => owned(ways_to_sense_more(policy)),
             },
         ),
         MissCause::Unpowered => {

@@ -228,15 +228,15 @@ impl DiurnalSetup {
     /// The expected harvest in the first `ttis` TTIs, micro-units.
     pub(super) fn expected_micro_in(&self, ttis: u64) -> f64 {
         let day = u64::from(self.sun.ttis_per_day);
-        let (days, rest) = (ttis / day, (ttis % day) as usize);
-        let (mut whole_day, mut part) = (0.0, 0.0);
+        let (days, last_day_ttis) = (ttis / day, (ttis % day) as usize);
+        let (mut whole_day, mut last_day) = (0.0, 0.0);
         for (tti, p) in self.sun.arrival_probabilities(self.zenith_probability).enumerate() {
             whole_day += p;
-            if tti < rest {
-                part += p;
+            if tti < last_day_ttis {
+                last_day += p;
             }
         }
-        (days as f64 * whole_day + part) * self.e_b.micro() as f64
+        (days as f64 * whole_day + last_day) * self.e_b.micro() as f64
     }
 
     /// The longest night of the first `ttis` TTIs: TTIs in which no energy can arrive.

@@ -351,16 +351,16 @@ impl TraceSetup {
         let sum = |rows: &[Energy]| rows.iter().map(|energy| u128::from(energy.micro())).sum::<u128>();
         let per_row = u128::from(self.ttis_per_row);
         let trace_ttis = rows.len() as u128 * per_row;
-        let (cycles, rest) = match u128::from(ttis).checked_div(trace_ttis) {
+        let (cycles, last_cycle_ttis) = match u128::from(ttis).checked_div(trace_ttis) {
             None => return 0,
             Some(cycles) => (cycles, u128::from(ttis) % trace_ttis),
         };
         if cycles > 0 && self.end == TraceEnd::Stop {
             return sum(rows) * per_row;
         }
-        let (row, ttis_in_row) = ((rest / per_row) as usize, rest % per_row);
-        let in_row = u128::from(rows[row].micro()) * ttis_in_row;
-        (cycles * sum(rows) + sum(&rows[..row])) * per_row + in_row
+        let (row, ttis_in_row) = ((last_cycle_ttis / per_row) as usize, last_cycle_ttis % per_row);
+        let micro_in_row = u128::from(rows[row].micro()) * ttis_in_row;
+        (cycles * sum(rows) + sum(&rows[..row])) * per_row + micro_in_row
     }
 
     /// The longest gap of the first `ttis` TTIs, in rows without energy.

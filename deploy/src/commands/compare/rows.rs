@@ -70,7 +70,7 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
             };
             format!("{} ±{half_width:.digits$}", format_signed(difference, digits))
         } else {
-            format!("{difference:+.4} –")
+            format!("{} –", format_signed(difference, 4))
         };
         let _infallible = writeln!(
             text,

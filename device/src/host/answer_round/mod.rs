@@ -60,8 +60,8 @@ impl Parts {
 }
 
 impl AnswerRound {
-    /// Creates the answer to a request with `device_parts` parts of devices. The host adds one further part once it
-    /// has distributed the request.
+    /// Creates the answer to a request with exactly `device_parts` parts of devices, which `host/mod.rs` counts. The
+    /// host adds one further part once it has distributed the request.
     pub fn new(host: HostId, request: HostRequest, device_parts: usize) -> Self {
         Self {
             host,
@@ -147,14 +147,14 @@ pub struct Uplink {
 }
 
 impl Uplink {
-    /// Creates the uplink of the host with this pass.
+    /// Creates the uplink of the host with this credential.
     ///
     /// # Errors
     /// If the bus fails.
-    pub fn new(bus: &Bus, pass: HostCredential) -> Result<Self, BusError> {
+    pub fn new(bus: &Bus, credential: HostCredential) -> Result<Self, BusError> {
         Ok(Self {
-            reports: bus.uplink(pass)?,
-            answers: bus.uplink(pass)?,
+            reports: bus.uplink(credential)?,
+            answers: bus.uplink(credential)?,
         })
     }
 
