@@ -242,9 +242,9 @@ fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
-    let mut given = args.scenario.clone();
-    given.policy.get_or_insert_with(|| "dt".to_owned());
-    let scenario = resolve(&given)?;
+    let mut scenario_args = args.scenario.clone();
+    scenario_args.policy.get_or_insert_with(|| "dt".to_owned());
+    let scenario = resolve(&scenario_args)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
@@ -261,9 +261,9 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
         (policies, _) => policies.to_vec(),
     };
     let scenario_of = |policy: &String| {
-        let mut given = args.scenario.clone();
-        given.policy = Some(policy.clone());
-        resolve(&given)
+        let mut scenario_args = args.scenario.clone();
+        scenario_args.policy = Some(policy.clone());
+        resolve(&scenario_args)
     };
     // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
     let scenarios = policies.iter().map(scenario_of).collect::<anyhow::Result<Vec<_>>>()?;
@@ -381,12 +381,12 @@ fn with_suggestion(error: FigureError) -> anyhow::Error {
 /// Draws a metric against a field, with a picture for each combination of the other fields.
 fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
-    let only = args.only.iter();
+    let filter = args.filter.iter();
     let spec = SweepFigureSpec {
         x_field: canonical_field(&args.x),
         metric: args.y.clone(),
         line_field: canonical_field(&args.by),
-        filter: only
+        filter: filter
             .map(|(field, value)| (canonical_field(field), value.clone()))
             .collect(),
         is_log_x: args.log.contains(&AxisArg::X),
