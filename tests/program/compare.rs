@@ -11,8 +11,8 @@ fn run(folder: &TestFolder, out: &str, args: &str) -> Value {
 }
 
 /// Half the width of the 95 % interval of the information per TTI over α, from ten parts of `windows.csv`: Student's t
-/// with nine degrees of freedom times the standard error of the means. In `quick`, α is 0.2, and [`run`] has a warm-up of
-/// 300 TTIs and windows of 30.
+/// with nine degrees of freedom times the standard error of the means. In `quick`, α is 0.2, and [`run`] has a warm-up
+/// of 300 TTIs and windows of 30.
 fn half_width_of_p1(folder: &TestFolder, out: &str) -> f64 {
     let text = String::from_utf8(folder.bytes(&format!("{out}/windows.csv"))).expect("text");
     let mut lines = text.lines();
