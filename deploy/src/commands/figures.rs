@@ -242,9 +242,9 @@ fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
-    let mut scenario_args = args.scenario.clone();
-    scenario_args.policy.get_or_insert_with(|| "dt".to_owned());
-    let scenario = resolve(&scenario_args)?;
+    let mut given = args.scenario.clone();
+    given.policy.get_or_insert_with(|| "dt".to_owned());
+    let scenario = resolve(&given)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
@@ -261,9 +261,9 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
         (policies, _) => policies.to_vec(),
     };
     let scenario_of = |policy: &String| {
-        let mut scenario_args = args.scenario.clone();
-        scenario_args.policy = Some(policy.clone());
-        resolve(&scenario_args)
+        let mut given = args.scenario.clone();
+        given.policy = Some(policy.clone());
+        resolve(&given)
     };
     // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
     let scenarios = policies.iter().map(scenario_of).collect::<anyhow::Result<Vec<_>>>()?;
