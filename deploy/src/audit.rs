@@ -219,12 +219,12 @@ impl Auditor {
         }
     }
 
-    /// Compares the outcome of the run and returns how much of the run was audited.
+    /// Compares the outcome of the run and returns how much of the run was audited. Drop every [`AuditObserver`]
+    /// first: this waits for the audit thread, which ends when no sender is left.
     ///
     /// # Errors
     /// The first divergence of the run from its replay.
     pub(crate) fn finish(mut self, outcome: &RunOutcome) -> Result<AuditOutcome, Divergence> {
-        // The audit thread ends when no sender is left; the observer has been dropped before.
         self.sender = None;
         // Set before the join, since it bounds how long the thread pauses.
         let _ended_before = self.backlog.run_ended_at.set(now()).is_err();

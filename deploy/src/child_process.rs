@@ -203,7 +203,8 @@ pub(crate) fn exit_with_optional_parent(parent: Option<i32>) -> anyhow::Result<(
     parent.map_or(Ok(()), |parent| exit_with_parent(parent, Signal::TERM))
 }
 
-/// Runs `reveille ARGUMENTS` and returns the summary of that run.
+/// Runs `reveille ARGUMENTS` and returns the summary of that run. One call at a time: its folder has the name of this
+/// process.
 ///
 /// # Errors
 /// If the run fails; the error contains its standard error.

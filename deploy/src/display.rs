@@ -50,7 +50,7 @@ pub(crate) fn write_stderr(line: &[u8]) {
         .is_err();
 }
 
-/// Breaks `text` at spaces into lines of at most `width` characters. A longer word keeps its own line.
+/// Breaks `text`, one line, at spaces into lines of at most `width` characters. A longer word keeps its own line.
 pub(crate) fn wrap_text(text: &str, width: usize) -> String {
     let (mut lines, mut length) = (String::new(), 0);
     for word in text.split(' ') {
@@ -68,7 +68,7 @@ pub(crate) fn wrap_text(text: &str, width: usize) -> String {
     lines
 }
 
-/// Breaks `text` into lines of at most `width` characters, each after this many `spaces`.
+/// Breaks `text` into lines of at most `width` characters, each after this many `spaces` (fewer than `width`).
 pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
     let lines = wrap_text(text, width - spaces);
     let lines: Vec<String> = lines.lines().map(|line| format!("{:spaces$}{line}", "")).collect();

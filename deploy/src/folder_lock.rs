@@ -1,8 +1,8 @@
 //! The lock of a run folder: one run at a time writes into it.
 //!
 //! The file `RUNNING` exists and is locked while the run lasts. The kernel releases the lock when the process ends for
-//! any reason, so a `RUNNING` file without a lock belongs to a killed run. `run_folder` takes the lock; `inspect` and
-//! `--resume` read its status.
+//! any reason, so a `RUNNING` file without a lock belongs to a killed run. `run_folder` takes the lock, also for
+//! `--resume`; `run_reader`, `inspect` and `train record` read its status.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -34,7 +34,8 @@ pub(crate) enum FolderStatus {
 }
 
 impl FolderLock {
-    /// Locks `folder`, which is created if missing. Its content stays unchanged.
+    /// Locks `folder`, which is created if missing. Its content stays unchanged. Call [`Self::mark_running`]
+    /// before the run: without it, [`Self::was_killed`] does not recognise the run after a kill.
     ///
     /// # Errors
     /// If a run is writing there, or the folder cannot be written to.

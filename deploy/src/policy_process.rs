@@ -37,7 +37,7 @@ use crate::{child_process, key};
 const CONNECT_VARIABLE: &str = "REVEILLE_CONNECT";
 /// The variable with the run's name.
 const RUN_VARIABLE: &str = "REVEILLE_RUN";
-/// The subcommand that runs the guard.
+/// The subcommand that runs the guard: clap's name of `Command::PolicyProcess`.
 const GUARD: &str = "policy-process";
 /// Base of the exit codes of processes ended by a signal.
 const SIGNAL_EXIT_BASE: i32 = 128;

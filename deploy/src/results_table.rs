@@ -309,8 +309,8 @@ mod tests {
         assert!(!causes.is_empty(), "{main}");
         assert_eq!(shown[..2], MAIN_METRICS[..2]);
         assert_eq!(shown[2..2 + causes.len()], causes, "below the missed events");
-        let rest: Vec<&str> = shown.iter().copied().filter(|name| !is_cause(name)).collect();
-        assert_eq!(rest, MAIN_METRICS);
+        let without_causes: Vec<&str> = shown.iter().copied().filter(|name| !is_cause(name)).collect();
+        assert_eq!(without_causes, MAIN_METRICS);
         let (_, [random_results, _]) = run_quick(&["policy.name=random"]);
         assert!(
             !metric_names(&random_results).contains(&WAKE_UPS),

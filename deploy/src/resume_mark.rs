@@ -62,7 +62,7 @@ impl ResumeMarkWriter {
         }
     }
 
-    /// Checks that the run has reproduced the mark from which it resumes.
+    /// Checks that the run has reproduced the mark from which it resumes. Call it once the run is past the mark.
     ///
     /// # Errors
     /// If it has not.

@@ -151,7 +151,7 @@ impl RunFolder {
                 '-'
             }
         };
-        // A run name has at most 64 characters and does not begin with `-`.
+        // A run name (`RunName`) has at most 64 characters and does not begin with `-`.
         let name: String = name
             .chars()
             .map(to_name_char)

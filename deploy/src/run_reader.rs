@@ -1,5 +1,5 @@
 //! Run folders as input: `inspect misses`, `figures misses` and `compare` read the files that `run_folder` writes.
-//! Columns are found by name, since tables of other versions have others.
+//! Columns are found by name (`run_tables`), since tables of other versions have others.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -198,9 +198,9 @@ fn missed_event(row: &Row<'_>, start: Tti) -> anyhow::Result<MissedEvent> {
 
 impl RowTable {
     fn read(path: PathBuf) -> anyhow::Result<Self> {
-        let named = || path.display().to_string();
-        let mut reader = csv::ReaderBuilder::new().from_path(&path).with_context(named)?;
-        let header = reader.headers().with_context(named)?.clone();
+        let path_text = || path.display().to_string();
+        let mut reader = csv::ReaderBuilder::new().from_path(&path).with_context(path_text)?;
+        let header = reader.headers().with_context(path_text)?.clone();
         let columns = (0..)
             .zip(&header)
             .map(|(index, name)| (name.to_owned(), index))
@@ -208,7 +208,7 @@ impl RowTable {
         let rows = reader
             .into_records()
             .collect::<Result<Vec<_>, _>>()
-            .with_context(named)?;
+            .with_context(path_text)?;
         Ok(Self {
             path,
             header,

@@ -84,20 +84,20 @@ fn write_entry(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 /// Returns an error for a folder that other users may have written to, since its entries are trusted.
 fn check_folder(registry_folder: &Path) -> anyhow::Result<()> {
-    let own = rustix::process::getuid().as_raw();
-    let named = registry_folder.display();
+    let own_uid = rustix::process::getuid().as_raw();
+    let path = registry_folder.display();
     // Not `metadata`, which follows a link into a folder of another user.
-    let metadata = registry_folder.symlink_metadata().with_context(|| named.to_string())?;
+    let metadata = registry_folder.symlink_metadata().with_context(|| path.to_string())?;
     if !metadata.is_dir() {
-        bail!("{named} must be a folder, but is a link or a file; remove it");
+        bail!("{path} must be a folder, but is a link or a file; remove it");
     }
-    if metadata.uid() != own {
-        let other = metadata.uid();
-        bail!("{named} belongs to another user ({other}, you are {own}), whose entries cannot be trusted");
+    if metadata.uid() != own_uid {
+        let owner_uid = metadata.uid();
+        bail!("{path} belongs to another user ({owner_uid}, you are {own_uid}), whose entries cannot be trusted");
     }
     let mode = metadata.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
-        bail!("{named} is open to other users (mode {mode:o}); restrict it with `chmod 700 {named}`");
+        bail!("{path} is open to other users (mode {mode:o}); restrict it with `chmod 700 {path}`");
     }
     Ok(())
 }

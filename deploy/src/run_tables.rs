@@ -1,6 +1,7 @@
 //! The rows of the tables in a run folder: events, windows of TTIs, devices.
 //!
-//! `run_folder` writes them. The columns and their order are a file format, documented in `docs/results.md`.
+//! `run_folder` writes them. The columns and their order are a file format, documented in `docs/results.md`; `compare`,
+//! `inspect misses`, `run_reader` and `tests/recompute/` read columns by name.
 //! Energies are in units; whole numbers of micro-units are written exactly, with six decimals.
 
 use reveille_bs::scenario::Scenario;

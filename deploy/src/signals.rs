@@ -114,8 +114,8 @@ impl Signals {
 /// Ends the program soon after a signal, until this is dropped.
 pub(crate) struct ForcedExit(#[expect(dead_code, reason = "it is dropped, and nothing else")] Sender<()>);
 
-/// Runs `work` on another thread. Returns its result, or `None` if `is_over` first; the thread then ends with the
-/// process.
+/// Runs `work`, the preparation of a run, on another thread. Returns its result, or `None` if `is_over` first; the
+/// thread then ends with the process.
 ///
 /// # Errors
 /// If the thread cannot be started, or panics.

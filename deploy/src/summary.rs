@@ -1,6 +1,7 @@
 //! `summary.json`: the results of a run, also printed by `--json` and as a table (`results_table`).
 //!
 //! The field names are a file format (`docs/results.md`): raise [`SUMMARY_VERSION`] if one changes its meaning.
+//! `compare`, `inspect verify`, `run_reader` and `bench` read fields by name.
 
 use std::collections::BTreeMap;
 

@@ -31,7 +31,7 @@ const MAX_SHORT_LIVES: u32 = 6;
 
 /// State shared by the supervisor and its thread.
 struct SupervisorState {
-    /// The ids of the running processes, for fault injection.
+    /// The ids of the running processes, for the measurement of their memory.
     pids: Mutex<Vec<u32>>,
     /// The run has ended, and the processes leave.
     is_over: AtomicBool,

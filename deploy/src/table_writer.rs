@@ -64,7 +64,7 @@ impl TableWriter {
         })
     }
 
-    /// Adds a row to the table with index `table`.
+    /// Adds a row, with one cell per column, to the table with index `table` in the list of [`Self::begin`].
     pub(crate) fn add<R>(&self, table: usize, row: R)
     where
         R: IntoIterator,

@@ -95,9 +95,9 @@ fn actions_survive_killed_device_processes() {
         folder.clock(&run, &format!("act revive 3,12 --at {}", tti + 60));
         folder.wait_for_tti(&run, tti + 70);
     }
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
-    let summary = end.summary();
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
+    let summary = finished.summary();
     assert_eq!(
         (summary.number("timing.losses"), summary.text("audit")),
         (3, "complete")
@@ -144,8 +144,8 @@ fn actions_survive_a_killed_base_station() {
     let up = folder.start(&format!("up --resume out -P 3 --pace 2ms --audit on --run {run}"));
     folder.wait_for_tti(&run, 10);
     folder.clock(&run, "act fail 18");
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log"));
     assert_eq!((again.digest(), summary.text("audit")), (summary.digest(), "complete"));
@@ -170,8 +170,11 @@ fn an_impossible_action_is_refused() {
     folder.wait_for_clock(&run);
     folder.clock(&run, "run-to 100 --wait");
     let refused = |action: &str, why: &str| {
-        let end = folder.run(&format!("clock act {action} --run {run}"));
-        assert!(!end.is_success() && end.stderr.contains(why), "{action}: {end}");
+        let finished = folder.run(&format!("clock act {action} --run {run}"));
+        assert!(
+            !finished.is_success() && finished.stderr.contains(why),
+            "{action}: {finished}"
+        );
     };
     refused(
         "fail 20",
@@ -202,8 +205,8 @@ fn an_impossible_action_is_refused() {
     });
     folder.clock(&run, "step 1 --wait");
     let removed = ["revive 0", "revive 19"].map(|action| {
-        let end = folder.run(&format!("clock act {action} --run {run}"));
-        end.stderr.contains("was removed from the run with its process")
+        let finished = folder.run(&format!("clock act {action} --run {run}"));
+        finished.stderr.contains("was removed from the run with its process")
     });
     assert!(
         removed[0] != removed[1],
@@ -215,8 +218,8 @@ fn an_impossible_action_is_refused() {
     let entry = format!("{{\"energy\":{{\"tti\":300,\"first\":{first},\"count\":10,\"micro\":1000000}}}}");
     assert!(log().contains(&entry), "{entry}\n{}", log());
     folder.clock(&run, "resume");
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
     let again = folder.summary("run -n 20 -k 400 -p knn --input-log out/inputs.log");
     assert_eq!(again.digest(), SummaryJson::read(&folder.join("out")).digest());
 }
@@ -226,14 +229,14 @@ fn an_invalid_script_is_refused_with_the_line() {
     let folder = TestFolder::new();
     folder.write("script", "5 fail 3\n6 explode 4\n");
     for command in ["run", "up", "bs --run demo"] {
-        let end = folder.run(&format!("{command} -n 10 -k 50 --actions script --out out"));
+        let finished = folder.run(&format!("{command} -n 10 -k 50 --actions script --out out"));
         assert_refused(
-            &end,
+            &finished,
             1,
             &["--actions script: line 2: `explode 4` is not an action; use"],
         );
-        let end = folder.run(&format!("{command} -n 10 -k 50 --actions missing --out out"));
-        assert_refused(&end, 1, &["--actions missing: no such file", "docs/actions.md"]);
+        let finished = folder.run(&format!("{command} -n 10 -k 50 --actions missing --out out"));
+        assert_refused(&finished, 1, &["--actions missing: no such file", "docs/actions.md"]);
     }
     assert!(!folder.join("out").exists(), "no folder is left behind");
 }

@@ -10,9 +10,9 @@ use serde_json::Value;
 
 /// Runs `reveille analyse ARGS --json` and parses its output.
 fn analyse(folder: &TestFolder, args: &str) -> Value {
-    let end = folder.run(&format!("analyse {args} --json"));
-    assert!(end.is_success(), "{end}");
-    serde_json::from_str(&end.stdout).expect("--json prints JSON")
+    let finished = folder.run(&format!("analyse {args} --json"));
+    assert!(finished.is_success(), "{finished}");
+    serde_json::from_str(&finished.stdout).expect("--json prints JSON")
 }
 
 fn rows<'a>(findings: &'a Value, sheet: &str) -> &'a Vec<Value> {
@@ -24,9 +24,9 @@ fn number(row: &Value, column: &str) -> f64 {
 }
 
 /// Checks a refusal that prints no output that could be mistaken for a finding.
-fn assert_no_finding(end: &FinishedProcess, code: i32, parts: &[&str]) {
-    assert_refused(end, code, parts);
-    assert!(end.stdout.is_empty(), "{end}");
+fn assert_no_finding(finished: &FinishedProcess, code: i32, parts: &[&str]) {
+    assert_refused(finished, code, parts);
+    assert!(finished.stdout.is_empty(), "{finished}");
 }
 
 #[test]
@@ -56,9 +56,9 @@ fn the_battery_chain_agrees_with_simulated_devices() {
 #[test]
 fn the_distribution_of_one_battery_is_written_to_csv() {
     let folder = TestFolder::new();
-    let end = folder
+    let finished = folder
         .run("analyse battery --duty 1/4 --e-b 5 --activation 0 --devices 4 --ttis 20000 --bin 10 --csv levels.csv");
-    assert!(end.is_success(), "{end}");
+    assert!(finished.is_success(), "{finished}");
     let text = fs::read_to_string(folder.join("levels.csv")).expect("written");
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "e_b,duty,activation,battery_from,chain,measured");
@@ -181,8 +181,11 @@ fn a_csv_file_replaces_a_file_and_follows_a_link() {
         "the old file was not replaced but overwritten"
     );
     symlink("/dev/stdout", folder.join("shown.csv")).expect("possible");
-    let end = write_csv("shown.csv");
-    assert!(end.is_success() && end.stdout.starts_with(&read("sheet.csv")), "{end}");
+    let finished = write_csv("shown.csv");
+    assert!(
+        finished.is_success() && finished.stdout.starts_with(&read("sheet.csv")),
+        "{finished}"
+    );
     assert!(folder.join("shown.csv").is_symlink());
 }
 

@@ -238,9 +238,12 @@ fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
     for command in ["up", "up --out out", "bs --run x"] {
-        let end = folder.run(&format!("{command} -n 30 --listen {endpoint}"));
-        assert_refused(&end, 1, &["cannot listen on", &endpoint, "in use", "--listen"]);
-        assert!(folder.list("runs").is_empty() && !folder.join("out").exists(), "{end}");
+        let finished = folder.run(&format!("{command} -n 30 --listen {endpoint}"));
+        assert_refused(&finished, 1, &["cannot listen on", &endpoint, "in use", "--listen"]);
+        assert!(
+            folder.list("runs").is_empty() && !folder.join("out").exists(),
+            "{finished}"
+        );
     }
 }
 
@@ -278,22 +281,22 @@ fn an_invalid_endpoint_is_refused() {
         "tcp/nowhere.invalid:7447",
     ] {
         for command in ["up -n 30", "bs -n 30 --run x"] {
-            let end = folder.run(&format!("{command} --listen {endpoint}"));
-            assert_refused(&end, 1, &[endpoint]);
-            assert!(folder.list("runs").is_empty(), "{endpoint}: {end}");
+            let finished = folder.run(&format!("{command} --listen {endpoint}"));
+            assert_refused(&finished, 1, &[endpoint]);
+            assert!(folder.list("runs").is_empty(), "{endpoint}: {finished}");
         }
     }
     for endpoint in ["127.0.0.1:7447", "tcp/", "tcp/127.0.0.1"] {
-        let end = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
-        assert_refused(&end, 1, &[endpoint, "tcp/HOST:PORT"]);
+        let finished = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
+        assert_refused(&finished, 1, &[endpoint, "tcp/HOST:PORT"]);
     }
 }
 
 #[test]
 fn an_endpoint_without_a_listener_is_reported() {
     let (folder, endpoint) = (TestFolder::new(), free_endpoint());
-    let end = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
-    assert_refused(&end, 1, &["no base station answers at", &endpoint, "within 2s"]);
+    let finished = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
+    assert_refused(&finished, 1, &["no base station answers at", &endpoint, "within 2s"]);
 }
 
 #[test]
@@ -301,14 +304,14 @@ fn a_wrong_run_name_lists_the_runs() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("right"), free_endpoint());
     let _bs = folder.start_waiting_bs(&run, &endpoint, "");
     let hint = format!("runs there: {run}");
-    let end = folder.run(&format!("device --connect {endpoint} --run wrong --connect-timeout 2s"));
-    assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
-    let end = folder.run(&format!("inspect tail --connect {endpoint} --run wrong"));
-    assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
-    let end = folder.run(&format!("clock --connect {endpoint} --run wrong status"));
-    assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
-    let end = folder.run("clock --run wrong status");
-    assert_refused(&end, 1, &["no run wrong on this machine"]);
+    let finished = folder.run(&format!("device --connect {endpoint} --run wrong --connect-timeout 2s"));
+    assert_refused(&finished, 1, &["run wrong", &endpoint, &hint]);
+    let finished = folder.run(&format!("inspect tail --connect {endpoint} --run wrong"));
+    assert_refused(&finished, 1, &["run wrong", &endpoint, &hint]);
+    let finished = folder.run(&format!("clock --connect {endpoint} --run wrong status"));
+    assert_refused(&finished, 1, &["run wrong", &endpoint, &hint]);
+    let finished = folder.run("clock --run wrong status");
+    assert_refused(&finished, 1, &["no run wrong on this machine"]);
 }
 
 #[test]
@@ -335,9 +338,12 @@ fn two_runs_on_this_machine_need_a_name() {
 fn too_few_joined_devices_end_the_run() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("few"), free_endpoint());
     let bs = folder.start_waiting_bs(&run, &endpoint, "--join-timeout 1s --out out");
-    let end = bs.finish();
-    assert_eq!(end.code(), Some(1), "{end}");
-    assert!(end.stderr.contains("only 0 of 30 devices joined within 1 s"), "{end}");
+    let finished = bs.finish();
+    assert_eq!(finished.code(), Some(1), "{finished}");
+    assert!(
+        finished.stderr.contains("only 0 of 30 devices joined within 1 s"),
+        "{finished}"
+    );
     assert!(folder.list("out").contains(&"FAILED".to_owned()));
     assert!(!folder.list("out").contains(&"RUNNING".to_owned()));
 }
@@ -348,8 +354,8 @@ fn a_surplus_device_is_refused_under_on_loss_end() {
     let _bs = folder.start_waiting_bs(&run, &endpoint, "--paused --on-loss end");
     let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 30"));
     host.wait_for_stderr("joined");
-    let end = folder.run(&format!("device --connect {endpoint} --run {run}"));
-    assert_refused(&end, 1, &["refused"]);
+    let finished = folder.run(&format!("device --connect {endpoint} --run {run}"));
+    assert_refused(&finished, 1, &["refused"]);
 }
 
 #[test]
@@ -357,14 +363,14 @@ fn a_folder_that_holds_no_run_is_never_replaced() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("mine")).expect("writable");
     folder.write("mine/thesis.tex", "precious");
-    let end = folder.run("run -s quick --out mine");
-    assert_refused(&end, 1, &["--out mine", "not empty", "holds no run"]);
-    let end = folder.run("run -s quick --out mine --force");
-    assert_refused(&end, 1, &["--out mine", "not empty", "holds no run"]);
+    let finished = folder.run("run -s quick --out mine");
+    assert_refused(&finished, 1, &["--out mine", "not empty", "holds no run"]);
+    let finished = folder.run("run -s quick --out mine --force");
+    assert_refused(&finished, 1, &["--out mine", "not empty", "holds no run"]);
     assert_eq!(folder.list("mine"), ["thesis.tex"]);
     assert!(folder.run("run -s quick --out run").is_success());
-    let end = folder.run("up -s quick --out run");
-    assert_refused(&end, 1, &["--out run", "not empty", "--force"]);
+    let finished = folder.run("up -s quick --out run");
+    assert_refused(&finished, 1, &["--out run", "not empty", "--force"]);
     assert_eq!(
         SummaryJson::read(&folder.join("run")).status(),
         "complete",
@@ -384,19 +390,19 @@ fn an_unusable_run_folder_is_named() {
         "up -s quick",
         "sweep --seeds 1 -k 100",
     ] {
-        let end = folder.run(&format!("{command} --out file"));
-        assert_refused(&end, 1, &["--out file: is a file, not a folder; name a folder"]);
+        let finished = folder.run(&format!("{command} --out file"));
+        assert_refused(&finished, 1, &["--out file: is a file, not a folder; name a folder"]);
     }
-    let end = folder.run("up -s quick --out file/below");
-    assert_refused(&end, 1, &["file/below"]);
+    let finished = folder.run("up -s quick --out file/below");
+    assert_refused(&finished, 1, &["file/below"]);
     // Root can write everywhere except in a place like this one.
-    let end = folder.run("bs -s quick --run x --listen tcp/127.0.0.1:0 --out /proc/reveille/run");
-    assert_refused(&end, 1, &["/proc/reveille/run"]);
+    let finished = folder.run("bs -s quick --run x --listen tcp/127.0.0.1:0 --out /proc/reveille/run");
+    assert_refused(&finished, 1, &["/proc/reveille/run"]);
     fs::create_dir(folder.join("closed")).expect("writable");
     fs::set_permissions(folder.join("closed"), fs::Permissions::from_mode(0o555)).expect("ours");
     if fs::write(folder.join("closed/probe"), "").is_err() {
-        let end = folder.run("up -s quick --out closed/run");
-        assert_refused(&end, 1, &["closed/run", "denied"]);
+        let finished = folder.run("up -s quick --out closed/run");
+        assert_refused(&finished, 1, &["closed/run", "denied"]);
     }
     assert_eq!(fs::read_to_string(folder.join("file")).expect("there"), "");
 }
@@ -431,8 +437,8 @@ fn a_setting_without_effect_is_refused() {
         ("layout.file=\"spots.csv\"", "layout.kind = \"file\""),
     ] {
         let field = setting.split('=').next().expect("a field");
-        let end = folder.run(&format!("run --set {setting} --quiet"));
-        assert_refused(&end, 1, &[field, needed_setting, "--set"]);
+        let finished = folder.run(&format!("run --set {setting} --quiet"));
+        assert_refused(&finished, 1, &[field, needed_setting, "--set"]);
     }
 }
 
@@ -444,8 +450,8 @@ fn run_to_refuses_ttis_in_the_past_or_beyond_the_end() {
     folder.clock(&run, "step 20");
     folder.wait_for_tti(&run, 20);
     for k in [19, 101] {
-        let end = folder.run(&format!("clock --run {run} run-to {k}"));
-        assert_refused(&end, 1, &[&format!("run-to {k}: must be from 20,"), "to 100,"]);
+        let finished = folder.run(&format!("clock --run {run} run-to {k}"));
+        assert_refused(&finished, 1, &[&format!("run-to {k}: must be from 20,"), "to 100,"]);
     }
     assert_refused(
         &folder.run(&format!("clock --run {run} step 0")),
@@ -475,8 +481,8 @@ fn an_invalid_input_log_is_refused() {
     ] {
         folder.write("some.log", content);
         for option in ["--input-log some.log", "--policy replay=some.log"] {
-            let end = folder.run(&format!("run -s quick {option} --out out"));
-            assert_refused(&end, 1, &["some.log", reason]);
+            let finished = folder.run(&format!("run -s quick {option} --out out"));
+            assert_refused(&finished, 1, &["some.log", reason]);
             assert_untouched(&folder, &["some.log"]);
         }
     }
@@ -487,9 +493,9 @@ fn an_input_log_with_decisions_names_the_option_that_repeats_them() {
     let folder = TestFolder::new();
     let lines = "{\"inputs\":{\"version\":2,\"scenario_hash\":\"00\"}}\n{\"wake\":{\"tti\":0,\"devices\":[]}}\n";
     folder.write("some.log", lines);
-    let end = folder.run("run -s quick --input-log some.log --out out");
+    let finished = folder.run("run -s quick --input-log some.log --out out");
     assert_refused(
-        &end,
+        &finished,
         1,
         &[
             "--input-log some.log",
@@ -505,8 +511,8 @@ fn an_input_log_with_decisions_names_the_option_that_repeats_them() {
 fn a_folder_without_decisions_is_refused_with_the_cause() {
     let folder = TestFolder::new();
     assert!(folder.run("run -s quick -q --out built-in").is_success());
-    let end = folder.run("up -s quick -p external --policy-command false -P 1 --out failed");
-    assert_eq!(end.code(), Some(1), "{end}");
+    let finished = folder.run("up -s quick -p external --policy-command false -P 1 --out failed");
+    assert_eq!(finished.code(), Some(1), "{finished}");
     fs::create_dir(folder.join("empty")).expect("writable");
     for (path, cause) in [
         ("nowhere", "no such file or folder"),
@@ -517,10 +523,10 @@ fn a_folder_without_decisions_is_refused_with_the_cause() {
             "the folder holds no inputs.log: the run failed (the policy process `false` ended with",
         ),
     ] {
-        let end = folder.run(&format!("run --policy replay={path} --out out"));
+        let finished = folder.run(&format!("run --policy replay={path} --out out"));
         let cause = format!("reveille: --policy replay={path}: {cause}");
         assert_refused(
-            &end,
+            &finished,
             1,
             &[&cause, "; name the inputs.log of a run with --policy external"],
         );
@@ -532,8 +538,8 @@ fn a_folder_without_decisions_is_refused_with_the_cause() {
 fn a_run_folder_can_have_any_name() {
     let folder = TestFolder::new();
     for out in [".hidden", "./-x", "äpfel", "…"] {
-        let end = folder.run(&format!("up -q -n 5 -k 50 -P 1 --out {out}"));
-        assert!(end.is_success(), "{out}: {end}");
+        let finished = folder.run(&format!("up -q -n 5 -k 50 -P 1 --out {out}"));
+        assert!(finished.is_success(), "{out}: {finished}");
     }
 }
 
@@ -541,12 +547,16 @@ fn a_run_folder_can_have_any_name() {
 fn an_unusable_key_file_is_refused() {
     let (folder, run) = (TestFolder::new(), unique_run("key"));
     let bs = format!("bs -n 5 -k 60 --run {run} --listen tcp/127.0.0.1:0 --key-file");
-    let end = folder.run(&format!("{bs} missing/key"));
-    assert_refused(&end, 1, &["--key-file missing/key", "folder does not exist"]);
+    let finished = folder.run(&format!("{bs} missing/key"));
+    assert_refused(&finished, 1, &["--key-file missing/key", "folder does not exist"]);
     folder.write("key", "0123");
     fs::set_permissions(folder.join("key"), fs::Permissions::from_mode(0o644)).expect("ours");
-    let end = folder.run(&format!("{bs} key"));
-    assert_refused(&end, 1, &["--key-file key", "other users may read it", "chmod 600"]);
+    let finished = folder.run(&format!("{bs} key"));
+    assert_refused(
+        &finished,
+        1,
+        &["--key-file key", "other users may read it", "chmod 600"],
+    );
     // A new key is complete, and only its owner may read it.
     let process = folder.start(&format!("{bs} new --out out"));
     process.wait_for_stderr("waiting for 5 devices");
@@ -561,10 +571,10 @@ fn an_unusable_key_file_is_refused() {
 fn an_unregistered_run_continues() {
     let folder = TestFolder::new();
     let mut up = folder.command("up -q -n 5 -k 50 -P 1 --out out");
-    let end = Process::start(up.env("XDG_RUNTIME_DIR", "/proc/1/nope")).finish();
-    assert!(end.is_success(), "{end}");
+    let finished = Process::start(up.env("XDG_RUNTIME_DIR", "/proc/1/nope")).finish();
+    assert!(finished.is_success(), "{finished}");
     for part in ["/proc/1/nope/reveille", "XDG_RUNTIME_DIR", "clock"] {
-        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+        assert!(finished.stderr.contains(part), "no {part:?}: {finished}");
     }
 }
 
@@ -580,12 +590,12 @@ fn an_unread_message_leaves_the_exit_code() {
     ] {
         let (reader, writer) = std::io::pipe().expect("a pipe");
         drop(reader);
-        let end = folder
+        let status = folder
             .command(args)
             .stdout(Stdio::null())
             .stderr(writer)
             .status()
             .expect("the program starts");
-        assert_eq!(end.code(), Some(code), "{args}");
+        assert_eq!(status.code(), Some(code), "{args}");
     }
 }

@@ -38,8 +38,8 @@ fn close_terminal(command: &mut PtyCommand) -> ExitStatus {
 }
 
 /// Checks the summary of a run that a closed terminal has ended.
-fn assert_interrupted(folder: &TestFolder, end: ExitStatus) {
-    assert_eq!(end.code(), Some(130), "{end}");
+fn assert_interrupted(folder: &TestFolder, status: ExitStatus) {
+    assert_eq!(status.code(), Some(130), "{status}");
     let files = folder.list("out");
     for name in ["devices.csv", "events.csv", "summary.json", "windows.csv"] {
         assert!(files.iter().any(|file| file == name), "{files:?}");
@@ -61,8 +61,8 @@ fn up_in_a_closed_terminal_ends_with_partial_results() {
         !shown.contains(" 0 TTIs/s") && !shown.contains("joining: 0 of"),
         "{shown}"
     );
-    let end = close_terminal(&mut up);
-    assert_interrupted(&folder, end);
+    let status = close_terminal(&mut up);
+    assert_interrupted(&folder, status);
     assert_no_process_left(&run);
 }
 
@@ -75,8 +75,8 @@ fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     let device = format!("device --connect {endpoint} --run {run} --count 30");
     let mut device = PtyCommand::start(&folder.command(&device));
     bs.wait_for("TTIs/s");
-    let end = close_terminal(&mut bs);
-    assert_interrupted(&folder, end);
+    let status = close_terminal(&mut bs);
+    assert_interrupted(&folder, status);
     assert!(device.finish_within(SOON).success(), "{}", device.shown());
 
     // A device process alone: it has nothing to save.
@@ -92,8 +92,8 @@ fn run_in_a_closed_terminal_ends_with_partial_results() {
     let run = "run -n 50 -k 1000000000 --window 10000 --out out";
     let mut run = PtyCommand::start(&folder.command(run));
     run.wait_for("TTIs/s");
-    let end = close_terminal(&mut run);
-    assert_interrupted(&folder, end);
+    let status = close_terminal(&mut run);
+    assert_interrupted(&folder, status);
 }
 
 #[test]
@@ -120,8 +120,8 @@ fn a_run_that_receives_no_sighup_outlives_its_terminal() {
     let mut up = PtyCommand::start_without_sighup(&folder.command(&up));
     up.wait_for("TTIs/s");
     up.close();
-    let end = up.finish_within(PATIENCE);
-    assert!(end.success(), "{end}");
+    let status = up.finish_within(PATIENCE);
+    assert!(status.success(), "{status}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
     assert_no_process_left(&run);
@@ -158,8 +158,8 @@ fn an_ignored_sighup_stays_ignored() {
     up.signal(Signal::HUP);
     folder.wait_for_tti(&run, tti + 50);
     up.signal(Signal::TERM);
-    let end = up.finish();
-    assert_eq!(end.code(), Some(130), "{end}");
+    let finished = up.finish();
+    assert_eq!(finished.code(), Some(130), "{finished}");
     assert_eq!(SummaryJson::read(&folder.join("out")).status(), "interrupted");
 }
 

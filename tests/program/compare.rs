@@ -5,13 +5,14 @@ use serde_json::Value;
 
 /// Runs `quick` in the folder `out` with these options.
 fn run(folder: &TestFolder, out: &str, args: &str) -> Value {
-    let end = folder.run(&format!("run -s quick -k 3000 --quiet --out {out} {args}"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("run -s quick -k 3000 --quiet --out {out} {args}"));
+    assert!(finished.is_success(), "{finished}");
     serde_json::from_slice(&folder.bytes(&format!("{out}/summary.json"))).expect("a summary")
 }
 
 /// Half the width of the 95 % interval of the information per TTI over α, from ten parts of `windows.csv`: Student's t
-/// with nine degrees of freedom times the standard error of the means.
+/// with nine degrees of freedom times the standard error of the means. In `quick`, α is 0.2, and [`run`] has a warm-up
+/// of 300 TTIs and windows of 30.
 fn half_width_of_p1(folder: &TestFolder, out: &str) -> f64 {
     let text = String::from_utf8(folder.bytes(&format!("{out}/windows.csv"))).expect("text");
     let mut lines = text.lines();
@@ -46,9 +47,9 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
         run(&folder, "c", "--policy random --set radio.uplink_loss=0.4"),
         run(&folder, "d", "--policy random"),
     ];
-    let end = folder.run("compare a b c d --json");
-    assert!(end.is_success(), "{end}");
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run("compare a b c d --json");
+    assert!(finished.is_success(), "{finished}");
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     for (run, summary) in report["runs"].as_array().expect("runs").iter().zip(&summaries) {
         assert_eq!(
             (&run["digest"], &run["metrics"]),
@@ -88,7 +89,7 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
         "{first}: {differing:?}"
     );
 
-    let end = folder.run("compare a b c d");
+    let finished = folder.run("compare a b c d");
     let [random, age_index] = [0, 1].map(|nth| {
         summaries[nth]["metrics"]["energy_per_device_tti"]
             .as_f64()
@@ -101,15 +102,15 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
         &share,
         "run 1 and run 4: equal digests",
     ] {
-        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+        assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
     }
-    assert!(!end.stdout.contains("overflow_per_device_tti"), "{end}");
-    let metrics = end
+    assert!(!finished.stdout.contains("overflow_per_device_tti"), "{finished}");
+    let metrics = finished
         .stdout
         .lines()
         .skip_while(|line| !line.starts_with("metric"))
         .take_while(|line| !line.starts_with("run 1 and"));
-    assert!(metrics.map(|line| line.chars().count()).max() <= Some(80), "{end}");
+    assert!(metrics.map(|line| line.chars().count()).max() <= Some(80), "{finished}");
     assert!(
         folder
             .run("compare a b --all-metrics")
@@ -139,23 +140,30 @@ fn actions_and_the_sides_of_a_difference_are_named() {
             ["first difference: action in TTI 500", "\n    run 2: "],
         ),
     ] {
-        let end = folder.run(&format!("compare {args}"));
+        let finished = folder.run(&format!("compare {args}"));
         for part in parts.into_iter().chain([actions]) {
-            assert!(end.stdout.contains(part), "no {part:?}: {end}");
+            assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
         }
-        assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
         assert!(
-            !end.stdout.contains("other:") && end.stdout.matches("actions:").count() == 1,
-            "{end}"
+            finished.stdout.lines().all(|line| line.chars().count() <= 80),
+            "{finished}"
+        );
+        assert!(
+            !finished.stdout.contains("other:") && finished.stdout.matches("actions:").count() == 1,
+            "{finished}"
         );
     }
-    let end = folder.run("compare plain acted");
-    assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
+    let finished = folder.run("compare plain acted");
     assert!(
-        end.stdout
+        finished.stdout.lines().all(|line| line.chars().count() <= 80),
+        "{finished}"
+    );
+    assert!(
+        finished
+            .stdout
             .replace('\n', " ")
             .contains("folders show events only; record both runs with --record"),
-        "{end}"
+        "{finished}"
     );
     let report: Value = serde_json::from_str(&folder.run("compare acted plain --json").stdout).expect("JSON");
     assert_eq!(
@@ -176,8 +184,8 @@ fn the_exit_code_tells_differences_and_runs_without_results_are_refused() {
         ("a.mcap a --exit-code", 0),
         ("a.mcap b.mcap --exit-code", 1),
     ] {
-        let end = folder.run(&format!("compare {args}"));
-        assert_eq!(end.code(), Some(code), "{args}: {end}");
+        let finished = folder.run(&format!("compare {args}"));
+        assert_eq!(finished.code(), Some(code), "{args}: {finished}");
     }
     std::fs::remove_file(folder.join("b/summary.json")).expect("removed");
     assert_refused(&folder.run("compare a b"), 1, &["b: ", "no results", "resume"]);
@@ -204,17 +212,20 @@ fn a_recording_is_found_in_its_run_folder() {
     );
     run(&folder, "b", "--record a/run.mcap");
     for command in ["verify a", "stats a", "tail a -c 1", "export a --to csv"] {
-        let end = folder.run(&format!("inspect {command}"));
-        assert!(end.is_success(), "{command}: {end}");
+        let finished = folder.run(&format!("inspect {command}"));
+        assert!(finished.is_success(), "{command}: {finished}");
     }
-    let end = folder.run("inspect stats --from a/run.mcap");
+    let finished = folder.run("inspect stats --from a/run.mcap");
     assert!(
-        end.is_success() && end.stderr.contains("--from FILE is now the argument FILE"),
-        "{end}"
+        finished.is_success() && finished.stderr.contains("--from FILE is now the argument FILE"),
+        "{finished}"
     );
     for figure in ["timeline a --length 50", "deployment a"] {
-        let end = folder.run(&format!("figures {figure} --format svg"));
-        assert!(end.is_success() && end.stdout.contains("-n20-s1-"), "{figure}: {end}");
+        let finished = folder.run(&format!("figures {figure} --format svg"));
+        assert!(
+            finished.is_success() && finished.stdout.contains("-n20-s1-"),
+            "{figure}: {finished}"
+        );
     }
     assert_refused(&folder.run("figures timeline ."), 1, &["holds no run", "scenario file"]);
     assert_refused(&folder.run("figures timeline a --scenario quick"), 2, &["--scenario"]);
@@ -224,18 +235,18 @@ fn a_recording_is_found_in_its_run_folder() {
 fn a_list_of_policies_needs_a_command_with_several_runs() {
     let folder = TestFolder::new();
     for command in ["run", "up", "figures timeline"] {
-        let end = folder.run(&format!("{command} --policy knn,random"));
+        let finished = folder.run(&format!("{command} --policy knn,random"));
         assert_refused(
-            &end,
+            &finished,
             1,
             &["--policy knn,random", "`reveille sweep --policies knn,random`"],
         );
     }
     // A former name of a field causes a warning here too.
     let former = "--set radio.false_wake=0.1";
-    let end = folder.run(&format!("sweep --policy knn --seeds 1 -s quick --dry-run {former}"));
+    let finished = folder.run(&format!("sweep --policy knn --seeds 1 -s quick --dry-run {former}"));
     let warning = "radio.false_wake is now called radio.false_wake_up (set by --set radio.false_wake=0.1)";
-    assert!(end.is_success() && end.stderr.contains(warning), "{end}");
-    let end = folder.run("sweep --policy knn,random --seeds 1 -s quick --dry-run");
-    assert!(end.is_success() && end.stdout.contains("knn"), "{end}");
+    assert!(finished.is_success() && finished.stderr.contains(warning), "{finished}");
+    let finished = folder.run("sweep --policy knn,random --seeds 1 -s quick --dry-run");
+    assert!(finished.is_success() && finished.stdout.contains("knn"), "{finished}");
 }

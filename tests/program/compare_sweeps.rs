@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use reveille_tests::process::{TestFolder, assert_refused};
 use serde_json::Value;
 
-/// The two-sided 95 % quantiles of Student's t with 6 degrees of freedom, from a printed table.
+/// The two-sided 95 % quantile of Student's t with 6 degrees of freedom, for the 7 seeds of [`SWEEP`], from a table.
 const T_6: f64 = 2.446_912;
 const SWEEP: &str = "sweep --policies random,knn,age-index --devices 20,40 --ttis 900 --seeds 7 --format csv --quiet";
 
@@ -27,12 +27,12 @@ fn metric(table: &str, name: &str) -> BTreeMap<(String, u32, u64), f64> {
 #[test]
 fn differences_of_policies_equal_those_of_the_table() {
     let folder = TestFolder::new();
-    let end = folder.run(&format!("{SWEEP} --out s"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("{SWEEP} --out s"));
+    assert!(finished.is_success(), "{finished}");
     let table = String::from_utf8(folder.bytes("s/results.csv")).expect("text");
     let names = ["info_p1", "energy_per_device_tti", "mean_battery"];
-    let end = folder.run(&format!("compare s --against knn --metric {} --json", names.join(",")));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("compare s --against knn --metric {} --json", names.join(",")));
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     assert_eq!(report["against"], "knn");
     let rows = report["conditions"][0]["differences"].as_array().expect("rows");
     assert_eq!(rows.len(), 3 * 2 * 2, "metrics, policies and N: {report}");
@@ -74,11 +74,11 @@ fn differences_of_policies_equal_those_of_the_table() {
 fn two_sweeps_are_compared_over_their_common_seeds() {
     let folder = TestFolder::new();
     for (args, out) in [("--policies knn --seeds 4", "a"), ("--policies random --seeds 6", "b")] {
-        let end = folder.run(&format!("sweep {args} --devices 20 --ttis 600 --quiet --out {out}"));
-        assert!(end.is_success(), "{end}");
+        let finished = folder.run(&format!("sweep {args} --devices 20 --ttis 600 --quiet --out {out}"));
+        assert!(finished.is_success(), "{finished}");
     }
-    let end = folder.run("compare a b --metric info_p1 --json");
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run("compare a b --metric info_p1 --json");
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let row = &report["conditions"][0]["differences"][0];
     assert_eq!(
         (&row["policy"], &row["seeds"]),
@@ -86,8 +86,8 @@ fn two_sweeps_are_compared_over_their_common_seeds() {
         "{report}"
     );
     // Other conditions are not compared with each other.
-    let end = folder.run("sweep --policies random --seeds 4 --devices 20 --ttis 700 --quiet --out c");
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run("sweep --policies random --seeds 4 --devices 20 --ttis 700 --quiet --out c");
+    assert!(finished.is_success(), "{finished}");
     assert_refused(&folder.run("compare a c"), 1, &["no other policy has runs", "knn"]);
 }
 
@@ -104,12 +104,12 @@ fn sweeps_are_compared_by_policy_and_n() {
         ),
     ] {
         let sweep = SWEEP.replace("random,knn,age-index", "knn");
-        let end = folder.run(&format!("{sweep} {args} --out {out}"));
-        assert!(end.is_success(), "{end}");
+        let finished = folder.run(&format!("{sweep} {args} --out {out}"));
+        assert!(finished.is_success(), "{finished}");
     }
-    let end = folder.run("compare calm acted both --all-metrics --json");
-    assert!(end.is_success(), "{end}");
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run("compare calm acted both --all-metrics --json");
+    assert!(finished.is_success(), "{finished}");
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let changed = serde_json::json!({"events.alpha": ["0.2", "0.3"], "radio.uplink_loss": ["0.0", "0.2"]});
     for (table, name, fields) in [(0, "acted", serde_json::json!({})), (1, "both", changed)] {
         let found = &report["tables"][table];
@@ -142,19 +142,22 @@ fn sweeps_are_compared_by_policy_and_n() {
             }
         }
     }
-    let end = folder.run("compare calm both");
+    let finished = folder.run("compare calm both");
     for part in [
         "differences of both/results.csv from calm/results.csv over the same seeds, with",
         "they differ in: actions, events.alpha = 0.2 | 0.3, radio.uplink_loss = 0.0 | 0.2",
         "with the actions of\nboth/results.csv",
         "\nknn       40     7",
     ] {
-        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+        assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
     }
-    assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
+    assert!(
+        finished.stdout.lines().all(|line| line.chars().count() <= 80),
+        "{finished}"
+    );
     // Under the same script, only the fields differ.
-    let end = folder.run("compare acted both");
-    assert!(end.stdout.contains("they differ in: events.alpha"), "{end}");
+    let finished = folder.run("compare acted both");
+    assert!(finished.stdout.contains("they differ in: events.alpha"), "{finished}");
     assert_refused(
         &folder.run("compare calm calm"),
         1,
@@ -165,8 +168,8 @@ fn sweeps_are_compared_by_policy_and_n() {
 #[test]
 fn wrong_requests_are_refused() {
     let folder = TestFolder::new();
-    let end = folder.run("sweep --policies knn,random --seeds 2 --devices 20 --ttis 300 --quiet --out s");
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run("sweep --policies knn,random --seeds 2 --devices 20 --ttis 300 --quiet --out s");
+    assert!(finished.is_success(), "{finished}");
     assert!(folder.run("run -s quick --quiet --out r").is_success());
     for (args, code, part) in [
         (

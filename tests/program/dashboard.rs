@@ -170,8 +170,8 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
     // The header, the curves and the tables of the run folder have the same events, those of the last TTI included.
     wait_until("equal counts", PATIENCE, || {
         let (now, curves) = (page.get("/api/now"), page.get("/api/curves"));
-        let end = folder.run("inspect misses o --json");
-        let misses: Value = serde_json::from_str(&end.stdout).expect("a report");
+        let finished = folder.run("inspect misses o --json");
+        let misses: Value = serde_json::from_str(&finished.stdout).expect("a report");
         let counts = ["events", "missed"].map(|name| now[name].as_u64());
         let [Some(events), Some(missed)] = counts else {
             return None;
@@ -240,9 +240,9 @@ fn device_ledgers_balance_and_filters_equal_those_of_tail() {
         assert_eq!(device["batteries"][0], device["totals"]["battery"], "TTI {tti}");
     }
     let count_in_tail = |args: &str| {
-        let end = folder.run(&format!("inspect tail r.mcap --json {args}"));
-        assert!(end.is_success(), "{end}");
-        end.stdout.lines().count()
+        let finished = folder.run(&format!("inspect tail r.mcap --json {args}"));
+        assert!(finished.is_success(), "{finished}");
+        finished.stdout.lines().count()
     };
     let count_on_page = |query: &str| {
         page.get(&format!("/api/messages?{query}"))
@@ -308,10 +308,10 @@ fn a_run_killed_while_observed_is_shown_to_its_end() {
 fn two_runs_are_compared_side_by_side() {
     let folder = TestFolder::new();
     let run = |name: &str, args: &str| {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "{args} -n 25 -k 400 --record {name}.mcap --quiet --out {name}"
         ));
-        assert!(end.is_success(), "{end}");
+        assert!(finished.is_success(), "{finished}");
     };
     run("one", "run -p age-index");
     run("two", "run -p age-index --set seed=2");

@@ -13,8 +13,11 @@ const RECORD: &str =
 fn recordings_are_reproducible_and_invalid_requests_are_refused() {
     let folder = TestFolder::new();
     for out in ["a.parquet", "b.parquet"] {
-        let end = folder.run(&format!("{RECORD} --out {out}"));
-        assert!(end.is_success() && end.stderr.contains("device-TTIs"), "{end}");
+        let finished = folder.run(&format!("{RECORD} --out {out}"));
+        assert!(
+            finished.is_success() && finished.stderr.contains("device-TTIs"),
+            "{finished}"
+        );
     }
     assert!(folder.bytes("a.parquet") == folder.bytes("b.parquet"));
     for (args, code, parts) in [
@@ -54,13 +57,13 @@ fn recordings_are_reproducible_and_invalid_requests_are_refused() {
 #[test]
 fn a_run_over_the_bus_is_recorded_from_its_folder() {
     let folder = TestFolder::new();
-    let end = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
+    assert!(finished.is_success(), "{finished}");
     let record = "train record --from live --chunk 12 --stride 40";
-    let end = folder.run(&format!("{record} --out live.parquet"));
-    assert!(end.is_success(), "{end}");
-    let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out genie");
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("{record} --out live.parquet"));
+    assert!(finished.is_success(), "{finished}");
+    let finished = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out genie");
+    assert!(finished.is_success(), "{finished}");
     assert_refused(&folder.run("train record --from genie --out c.parquet"), 1, &["genie"]);
     // With other settings or a digest that differs from the run's.
     assert_refused(
@@ -78,8 +81,8 @@ fn a_run_over_the_bus_is_recorded_from_its_folder() {
     assert_refused(&folder.run(&format!("{record} --out c.parquet")), 1, &[&digest, "0123"]);
     fs::remove_file(&summary).expect("removed");
     assert_refused(&folder.run(&format!("{record} --out c.parquet")), 1, &["summary.json"]);
-    let end = folder.run("train record --from . --out c.parquet");
-    assert_refused(&end, 1, &["not a run folder", "scenario.toml"]);
+    let finished = folder.run("train record --from . --out c.parquet");
+    assert_refused(&finished, 1, &["not a run folder", "scenario.toml"]);
 }
 
 #[test]
@@ -95,8 +98,8 @@ fn invalid_models_are_refused() {
             "run -n 10 -k 50 -p dt --set policy.dt.model={model}.safetensors"
         ))
     };
-    let end = run_with_model("good");
-    assert!(end.is_success(), "{end}");
+    let finished = run_with_model("good");
+    assert!(finished.is_success(), "{finished}");
     for name in ["cut", "empty", "text"] {
         assert_refused(
             &run_with_model(name),
@@ -111,8 +114,8 @@ fn invalid_models_are_refused() {
 #[test]
 fn without_the_feature_the_error_names_the_build_command() {
     let folder = TestFolder::new();
-    let end = folder.run("train dt some.parquet --out model.safetensors");
-    assert_refused(&end, 2, &["cargo run --release --features train-dt -- train dt"]);
+    let finished = folder.run("train dt some.parquet --out model.safetensors");
+    assert_refused(&finished, 2, &["cargo run --release --features train-dt -- train dt"]);
 }
 
 #[cfg(feature = "train-dt")]
@@ -128,16 +131,19 @@ mod transformer {
     /// Returns a folder with the recording `a.parquet`.
     fn folder_with_recording() -> TestFolder {
         let folder = TestFolder::new();
-        let end = folder.run(&format!("{RECORD} --out a.parquet"));
-        assert!(end.is_success(), "{end}");
+        let finished = folder.run(&format!("{RECORD} --out a.parquet"));
+        assert!(finished.is_success(), "{finished}");
         folder
     }
 
     #[test]
     fn an_interrupted_training_ends_with_the_same_model_which_runs() {
         let folder = folder_with_recording();
-        let end = folder.run(&format!("{TRAIN} --out whole.safetensors"));
-        assert!(end.is_success() && end.stderr.contains("held out"), "{end}");
+        let finished = folder.run(&format!("{TRAIN} --out whole.safetensors"));
+        assert!(
+            finished.is_success() && finished.stderr.contains("held out"),
+            "{finished}"
+        );
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
             let before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
             let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
@@ -146,9 +152,9 @@ mod transformer {
                 (now != before || folder.join("killed.safetensors").exists()).then_some(())
             });
             training.signal(signal);
-            let end = training.finish();
+            let finished = training.finish();
             // On a fast machine the training may have ended before the signal.
-            assert!(end.code() == code || end.is_success(), "{end}");
+            assert!(finished.code() == code || finished.is_success(), "{finished}");
             if folder.join("killed.safetensors").exists() {
                 break;
             }
@@ -156,8 +162,8 @@ mod transformer {
         if !folder.join("killed.safetensors").exists() {
             let other = folder.run(&format!("{TRAIN} --seed 2 --out killed.safetensors"));
             assert_refused(&other, 1, &["killed.safetensors.checkpoint", "another training"]);
-            let end = folder.run(&format!("{TRAIN} --out killed.safetensors"));
-            assert!(end.is_success(), "{end}");
+            let finished = folder.run(&format!("{TRAIN} --out killed.safetensors"));
+            assert!(finished.is_success(), "{finished}");
         }
         assert!(folder.bytes("whole.safetensors") == folder.bytes("killed.safetensors"));
         assert!(!folder.join("killed.safetensors.checkpoint").exists());
@@ -173,16 +179,16 @@ mod transformer {
         let whole = folder.bytes("a.parquet");
         fs::write(folder.join("cut.parquet"), &whole[..whole.len() / 2]).expect("written");
         folder.write("text.parquet", "these are no columns");
-        let end = folder.run("sweep -p knn -n 10 -k 50 --seeds 1 --out swept");
-        assert!(end.is_success(), "{end}");
+        let finished = folder.run("sweep -p knn -n 10 -k 50 --seeds 1 --out swept");
+        assert!(finished.is_success(), "{finished}");
         for (file, part) in [
             ("cut.parquet", "cut.parquet"),
             ("text.parquet", "text.parquet"),
             ("missing.parquet", "missing.parquet"),
             ("swept/results.parquet", "trajector"),
         ] {
-            let end = folder.run(&format!("train dt {file} --out m.safetensors"));
-            assert_refused(&end, 1, &[file, part]);
+            let finished = folder.run(&format!("train dt {file} --out m.safetensors"));
+            assert_refused(&finished, 1, &[file, part]);
         }
         for (args, part) in [
             ("--set policy.dt.width=10", "multiple of 4 times the heads, 8"),

@@ -9,11 +9,11 @@ use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, rev
 
 /// Runs a small sweep into the subfolder `name`.
 fn sweep(folder: &TestFolder, name: &str, options: &str) {
-    let end = folder.run(&format!(
+    let finished = folder.run(&format!(
         "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
          --out {name} {options}"
     ));
-    assert_eq!(end.code(), Some(0), "{end}");
+    assert_eq!(finished.code(), Some(0), "{finished}");
 }
 
 /// Checks that the folders `a` and `b` hold the same file `name`.
@@ -32,8 +32,8 @@ fn pictures_of_one_run_are_reproducible() {
             "attention -n 30 -k 500 --tti 200 --show 3,4",
             "timeline -n 30 -k 500 --show 3,7 --from 100 --length 60",
         ] {
-            let end = folder.run(&format!("figures {picture} --out {out}"));
-            assert_eq!(end.code(), Some(0), "{end}");
+            let finished = folder.run(&format!("figures {picture} --out {out}"));
+            assert_eq!(finished.code(), Some(0), "{finished}");
         }
     }
     let names = folder.list("a");
@@ -72,9 +72,12 @@ fn invalid_figure_requests_are_refused() {
         ("timeline --from -1", "a whole number from 0"),
         ("deployment --event -1", "a whole number from 0"),
     ] {
-        let end = folder.run(&format!("figures {args} --out out"));
-        assert_eq!(end.code(), Some(2), "{end}");
-        assert!(end.stderr.contains("'-1'") && end.stderr.contains(part), "{end}");
+        let finished = folder.run(&format!("figures {args} --out out"));
+        assert_eq!(finished.code(), Some(2), "{finished}");
+        assert!(
+            finished.stderr.contains("'-1'") && finished.stderr.contains(part),
+            "{finished}"
+        );
     }
 }
 
@@ -92,9 +95,9 @@ fn files_that_are_not_result_tables_are_refused() {
         refused("junk.parquet", &["junk.parquet"]);
         refused("junk.csv", &["junk.csv"]);
     }
-    let end = folder.run("figures junk.parquet --only energy,speed");
+    let finished = folder.run("figures junk.parquet --only energy,speed");
     assert_refused(
-        &end,
+        &finished,
         2,
         &[
             "'speed' for '--only",
@@ -102,15 +105,15 @@ fn files_that_are_not_result_tables_are_refused() {
             "harvest, net, pareto, delay, front",
         ],
     );
-    let end = folder.run("figures");
-    assert_eq!(end.code(), Some(2), "{end}");
+    let finished = folder.run("figures");
+    assert_eq!(finished.code(), Some(2), "{finished}");
 }
 
 #[test]
 fn pictures_of_learned_tables_are_reproducible() {
     let folder = TestFolder::new();
-    let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 2 --episode-ttis 300 --quiet");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("train q-learning --out mine.json -n 10,30 --episodes 2 --episode-ttis 300 --quiet");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     for out in ["a", "b"] {
         for picture in [
             "learning mine.json",
@@ -118,8 +121,8 @@ fn pictures_of_learned_tables_are_reproducible() {
             "q-table mine.json -n 10 --wake posterior",
             "q-table mine.json -n 10 --wake p42",
         ] {
-            let end = folder.run(&format!("figures {picture} --out {out}"));
-            assert_eq!(end.code(), Some(0), "{end}");
+            let finished = folder.run(&format!("figures {picture} --out {out}"));
+            assert_eq!(finished.code(), Some(0), "{finished}");
         }
     }
     let names = folder.list("a");
@@ -146,8 +149,8 @@ fn pictures_of_learned_tables_are_reproducible() {
 #[test]
 fn invalid_or_incomplete_learned_tables_are_refused() {
     let folder = TestFolder::new();
-    let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     let text = String::from_utf8(folder.bytes("mine.json")).expect("text");
     folder.write("later.json", &text.replacen("\"version\":3", "\"version\":4", 1));
     folder.write("short.json", &text[..text.len() / 2]);
@@ -174,13 +177,13 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
         &["N = 50: mine.json has tables for 10, 30 devices", "--devices 50"],
     );
     for (name, n) in [("shipped", 2500), ("shipped-paper-literal", 250)] {
-        let end = folder.run(&format!("figures q-table {name} -n {n} --format svg --out {name}"));
-        assert_eq!(end.code(), Some(0), "{end}");
+        let finished = folder.run(&format!("figures q-table {name} -n {n} --format svg --out {name}"));
+        assert_eq!(finished.code(), Some(0), "{finished}");
         assert_eq!(folder.list(name).len(), 3, "a picture and two CSV files");
     }
     for args in ["learning", "q-table mine.json", "q-table mine.json -n 10 --wake best"] {
-        let end = folder.run(&format!("figures {args}"));
-        assert_eq!(end.code(), Some(2), "{end}");
+        let finished = folder.run(&format!("figures {args}"));
+        assert_eq!(finished.code(), Some(2), "{finished}");
     }
 }
 
@@ -191,13 +194,13 @@ fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
     sweep(&folder, "literal", "--scenario paper-literal");
     let tables = "paper/results.parquet literal/results.parquet";
     for out in ["a", "b"] {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "figures {tables} --only misdetection,energy,net,pareto --out {out}"
         ));
-        assert_eq!(end.code(), Some(0), "{end}");
+        assert_eq!(finished.code(), Some(0), "{finished}");
     }
-    let end = folder.run("figures paper literal --only misdetection,energy,net,pareto --out c");
-    assert_eq!(end.code(), Some(0), "a folder stands for its table: {end}");
+    let finished = folder.run("figures paper literal --only misdetection,energy,net,pareto --out c");
+    assert_eq!(finished.code(), Some(0), "a folder stands for its table: {finished}");
     assert_eq!(folder.list("c"), folder.list("a"));
     let names = folder.list("a");
     for figure in ["misdetection", "energy", "net", "pareto"] {
@@ -213,8 +216,8 @@ fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
         assert_same(&folder, &name);
     }
     for _ in 0..2 {
-        let end = folder.run(&format!("report {tables} --out report"));
-        assert_eq!(end.code(), Some(0), "{end}");
+        let finished = folder.run(&format!("report {tables} --out report"));
+        assert_eq!(finished.code(), Some(0), "{finished}");
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
     assert_eq!(html.matches("<svg").count(), 24, "two presets with twelve figures each");
@@ -231,9 +234,9 @@ fn a_search_judges_every_condition_reproducibly() {
     sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
     sweep(&folder, "literal", "--scenario paper-literal");
     let search = |out: &str| {
-        let end = folder.run(&format!("report search unstated literal --top 1 --out {out}"));
-        assert_eq!(end.code(), Some(0), "{end}");
-        end.stdout
+        let finished = folder.run(&format!("report search unstated literal --top 1 --out {out}"));
+        assert_eq!(finished.code(), Some(0), "{finished}");
+        finished.stdout
     };
     let ranking = search("a");
     assert!(
@@ -259,17 +262,17 @@ fn a_search_judges_every_condition_reproducibly() {
         "Ours.\n<!-- report search-settings -->\n<!-- /report search-settings -->\nThe end.\n",
     );
     folder.write("bare.md", "Ours.\n");
-    let end = folder.run("report search unstated literal --out a --page page.md");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("report search unstated literal --out a --page page.md");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     let page = String::from_utf8(folder.bytes("page.md")).expect("text");
     assert!(
         page.starts_with("Ours.\n") && page.ends_with("The end.\n") && page.contains("| paper |"),
         "{page}"
     );
-    let end = folder.run("report search unstated literal --out a --page bare.md");
-    assert_refused(&end, 1, &["bare.md", "<!-- report NAME -->", "search-settings"]);
-    let end = folder.run("report search unstated --top 0");
-    assert_eq!(end.code(), Some(2), "{end}");
+    let finished = folder.run("report search unstated literal --out a --page bare.md");
+    assert_refused(&finished, 1, &["bare.md", "<!-- report NAME -->", "search-settings"]);
+    let finished = folder.run("report search unstated --top 0");
+    assert_eq!(finished.code(), Some(2), "{finished}");
     assert_refused(&folder.run("report search nowhere --out c"), 1, &["nowhere"]);
     assert!(!folder.join("c").exists());
 }
@@ -279,11 +282,14 @@ fn a_user_sweep_is_drawn_against_its_field() {
     let folder = TestFolder::new();
     sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
     for out in ["a", "b"] {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "figures sweep mine --x harvest.lambda --y energy_per_device_tti --log x --out {out}"
         ));
-        assert_eq!(end.code(), Some(0), "{end}");
-        assert!(end.stderr.contains("also differ in devices: 2 figures"), "{end}");
+        assert_eq!(finished.code(), Some(0), "{finished}");
+        assert!(
+            finished.stderr.contains("also differ in devices: 2 figures"),
+            "{finished}"
+        );
     }
     let names = folder.list("a");
     assert_eq!(names.len(), 6, "{names:?}");
@@ -292,8 +298,8 @@ fn a_user_sweep_is_drawn_against_its_field() {
         assert_same(&folder, &name);
     }
     // Without `sweep`, the swept value of the preset has the paper's figures, and the field its own.
-    let end = folder.run("figures mine --format svg --out d");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("figures mine --format svg --out d");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("d");
     for metric in ["info_p1", "energy_per_device_tti"] {
         for n in [10, 100] {
@@ -326,8 +332,8 @@ fn a_user_sweep_is_drawn_against_its_field() {
         ("--y speed", &["'speed'", "info_p1"]),
         ("--y info", &["a similar value exists: 'info_p1'"]),
     ] {
-        let end = folder.run(&format!("figures sweep mine --x harvest.lambda {args}"));
-        assert_refused(&end, 2, parts);
+        let finished = folder.run(&format!("figures sweep mine --x harvest.lambda {args}"));
+        assert_refused(&finished, 2, parts);
     }
 }
 
@@ -352,8 +358,8 @@ fn tables_with_equal_file_names_give_separate_pictures() {
     folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
     sweep(&folder, "a", "--scenario mine.toml");
     sweep(&folder, "b", "--scenario other.toml");
-    let end = folder.run("figures a/results.parquet b/results.parquet --only energy --out out");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("figures a/results.parquet b/results.parquet --only energy --out out");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("out");
     assert_eq!(names.len(), 6, "{names:?}");
     assert!(names.contains(&"energy-paper-b-results.svg".to_owned()), "{names:?}");
@@ -363,11 +369,13 @@ fn tables_with_equal_file_names_give_separate_pictures() {
 fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     let folder = TestFolder::new();
     sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
-    let end = folder.run("report paper/results.csv --out report");
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = folder.run("report paper/results.csv --out report");
+    assert_eq!(finished.code(), Some(0), "{finished}");
     assert!(
-        end.stderr.contains("the tables hold no runs of preset paper-literal"),
-        "{end}"
+        finished
+            .stderr
+            .contains("the tables hold no runs of preset paper-literal"),
+        "{finished}"
     );
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     assert!(
@@ -392,10 +400,10 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     assert_ne!(later_sidecar, sidecar);
     folder.write("later.csv.toml", &later_sidecar);
     for command in ["figures", "report"] {
-        let end = folder.run(&format!("{command} empty.csv --out out"));
-        assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
-        let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&end, 1, &["later.csv", "version 4"]);
+        let finished = folder.run(&format!("{command} empty.csv --out out"));
+        assert_refused(&finished, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
+        let finished = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
+        assert_refused(&finished, 1, &["later.csv", "version 4"]);
         assert!(!folder.join("out").exists());
     }
 }
@@ -411,8 +419,8 @@ fn the_script_of_the_pages_draws_every_picture() {
         .arg(folder.join("pictures"))
         .args(["1000", "2"]);
     // The script makes about three hundred runs, on machines that run other tests at the same time.
-    let end = Process::start(&mut command).finish_within(PATIENCE * 5);
-    assert_eq!(end.code(), Some(0), "{end}");
+    let finished = Process::start(&mut command).finish_within(PATIENCE * 5);
+    assert_eq!(finished.code(), Some(0), "{finished}");
     for name in [
         "run",
         "result",
@@ -452,8 +460,8 @@ fn a_table_with_an_impossible_value_is_refused() {
         folder.write("odd.csv", &rows.collect::<String>());
         fs::write(folder.join("odd.csv.toml"), &sidecar).expect("a side-car");
         for command in ["figures", "report", "merge"] {
-            let end = folder.run(&format!("{command} odd.csv --out odd-{command}.csv"));
-            assert_refused(&end, 1, &["odd.csv", "row 2", "energy_per_device_tti"]);
+            let finished = folder.run(&format!("{command} odd.csv --out odd-{command}.csv"));
+            assert_refused(&finished, 1, &["odd.csv", "row 2", "energy_per_device_tti"]);
         }
     }
 }

@@ -102,12 +102,12 @@ fn an_observer_prints_the_position_of_a_paused_run_with_devices_and_hosts() {
 fn filters_without_matches_are_refused() {
     let (folder, run) = (TestFolder::new(), unique_run("filters"));
     let up = start_paused_run(&folder, &run, "-P 1 -n 5");
-    let end = folder.run(&format!("inspect tail --run {run} --device 99"));
-    assert_refused(&end, 1, &["--device 99", "5 devices", "0 to 4"]);
-    let end = folder.run(&format!("inspect tail --run {run} --plane air --kind plan,clock"));
-    assert_refused(&end, 1, &["--plane air", "--kind clock", "emu"]);
-    let end = folder.run(&format!("inspect tail --run {run} --kind plans"));
-    assert_refused(&end, 2, &["plans", "wake", "control"]);
+    let finished = folder.run(&format!("inspect tail --run {run} --device 99"));
+    assert_refused(&finished, 1, &["--device 99", "5 devices", "0 to 4"]);
+    let finished = folder.run(&format!("inspect tail --run {run} --plane air --kind plan,clock"));
+    assert_refused(&finished, 1, &["--plane air", "--kind clock", "emu"]);
+    let finished = folder.run(&format!("inspect tail --run {run} --kind plans"));
+    assert_refused(&finished, 2, &["plans", "wake", "control"]);
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());
 }
@@ -201,11 +201,11 @@ fn the_device_processes_of_a_failed_run_report_the_cause() {
     folder.wait_for_tti(&run, 10);
     host_0.signal(Signal::KILL);
     assert_eq!(bs.finish().code(), Some(1));
-    let end = host_1.finish();
-    assert_eq!(end.code(), Some(1), "{end}");
+    let finished = host_1.finish();
+    assert_eq!(finished.code(), Some(1), "{finished}");
     assert!(
-        end.stderr.contains("reveille: the run has failed: lost host 0"),
-        "{end}"
+        finished.stderr.contains("reveille: the run has failed: lost host 0"),
+        "{finished}"
     );
 }
 
@@ -217,30 +217,30 @@ fn only_the_base_station_of_up_reports_the_cause() {
     ));
     folder.wait_for_tti(&run, 10);
     send_signal(hosts_of(&run)[0], Signal::KILL);
-    let end = up.finish_within(PATIENCE);
-    assert_eq!(end.code(), Some(1), "{end}");
-    assert_eq!(end.stderr.matches("lost host").count(), 1, "{end}");
+    let finished = up.finish_within(PATIENCE);
+    assert_eq!(finished.code(), Some(1), "{finished}");
+    assert_eq!(finished.stderr.matches("lost host").count(), 1, "{finished}");
 }
 
 #[test]
 fn options_without_effect_are_refused_or_reported() {
     let folder = TestFolder::new();
-    let end = folder.run("run -n 5 -k 60 --set devices=7 --quiet");
-    assert_refused(&end, 1, &["--devices and --set devices=7", "leave one"]);
-    let end = folder.run("run -p random --set policy.name=knn --quiet");
-    assert_refused(&end, 1, &["--policy and --set policy.name=knn"]);
-    let end = folder.run("up -P 0 -n 5 -k 60 --quiet --on-loss end");
+    let finished = folder.run("run -n 5 -k 60 --set devices=7 --quiet");
+    assert_refused(&finished, 1, &["--devices and --set devices=7", "leave one"]);
+    let finished = folder.run("run -p random --set policy.name=knn --quiet");
+    assert_refused(&finished, 1, &["--policy and --set policy.name=knn"]);
+    let finished = folder.run("up -P 0 -n 5 -k 60 --quiet --on-loss end");
     assert!(
-        end.is_success() && end.stderr.contains("--on-loss has no effect"),
-        "{end}"
+        finished.is_success() && finished.stderr.contains("--on-loss has no effect"),
+        "{finished}"
     );
-    let end = folder.run("up -P 0 -n 5 -k 60 --quiet --pace 1ms --no-lookahead");
+    let finished = folder.run("up -P 0 -n 5 -k 60 --quiet --pace 1ms --no-lookahead");
     assert!(
-        end.is_success() && end.stderr.contains("--no-lookahead has no effect"),
-        "{end}"
+        finished.is_success() && finished.stderr.contains("--no-lookahead has no effect"),
+        "{finished}"
     );
-    let end = folder
+    let finished = folder
         .start("up -P 0 -n 5 -k 60 --quiet")
         .finish_within(Duration::from_mins(1));
-    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
 }

@@ -34,8 +34,8 @@ fn start_limited(folder: &TestFolder, hard: u32, soft: u32, args: &str) -> Proce
 
 /// Checks that a command is refused under a limit of `files` open files, before it creates a run folder.
 fn assert_files_refused(folder: &TestFolder, files: u32, args: &str, parts: &[&str]) {
-    let end = start_limited(folder, files, files, args).finish_within(REFUSAL_LIMIT);
-    assert_refused(&end, 1, parts);
+    let finished = start_limited(folder, files, files, args).finish_within(REFUSAL_LIMIT);
+    assert_refused(&finished, 1, parts);
     let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
     assert_eq!(left, [""; 0], "files of a refused run");
 }
@@ -92,8 +92,8 @@ fn the_suggested_file_limit_is_enough() {
 }
 
 /// Checks a refusal that leaves no run folder `out`, or one that is marked as failed.
-fn assert_refused_without_run(folder: &TestFolder, end: &FinishedProcess, parts: &[&str]) {
-    assert_refused(end, 1, parts);
+fn assert_refused_without_run(folder: &TestFolder, finished: &FinishedProcess, parts: &[&str]) {
+    assert_refused(finished, 1, parts);
     let left = folder.list("out");
     assert!(
         !left.iter().any(|name| name == "RUNNING" || name == "summary.json"),
@@ -114,13 +114,13 @@ fn a_lack_of_ports_is_reported_promptly() {
         .current_dir(folder.path())
         .env("XDG_RUNTIME_DIR", folder.join("runtime"))
         .env_remove("RUST_LOG");
-    let end = Process::start(&mut up).finish_within(RESTART_LIMIT);
-    assert_eq!(end.code(), Some(1), "{end}");
+    let finished = Process::start(&mut up).finish_within(RESTART_LIMIT);
+    assert_eq!(finished.code(), Some(1), "{finished}");
     assert!(
-        end.stderr.contains("cannot connect to tcp/127.0.0.1:") && end.stderr.contains("no free port"),
-        "{end}"
+        finished.stderr.contains("cannot connect to tcp/127.0.0.1:") && finished.stderr.contains("no free port"),
+        "{finished}"
     );
-    assert!(!end.stderr.contains("no base station answers"), "{end}");
+    assert!(!finished.stderr.contains("no base station answers"), "{finished}");
     assert!(folder.list("out").contains(&"FAILED".to_owned()));
 }
 
@@ -134,8 +134,8 @@ fn a_read_only_folder_is_named() {
         return;
     };
     for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
-        let end = folder.run(&format!("{command} -n 5 -k 50 --out disk/out"));
-        assert_refused_without_run(&folder, &end, &["disk/out", "Read-only file system"]);
+        let finished = folder.run(&format!("{command} -n 5 -k 50 --out disk/out"));
+        assert_refused_without_run(&folder, &finished, &["disk/out", "Read-only file system"]);
     }
 }
 
@@ -151,8 +151,8 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     for command in ["run", "up -P 2"] {
         // The rows do not fit.
         let long = format!("{command} -n 20 -k 400000 --window 10 --out disk/out --force");
-        let end = folder.run(&long);
-        assert_refused(&end, 1, &["disk/out", "No space left on device"]);
+        let finished = folder.run(&long);
+        assert_refused(&finished, 1, &["disk/out", "No space left on device"]);
         let left = folder.list("disk/out");
         assert!(
             left.contains(&"FAILED".to_owned()) && !left.contains(&"RUNNING".to_owned()),
@@ -171,8 +171,8 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     // More than the 256 kB of the disk.
     let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
     assert!(full.is_err(), "the disk has more space than requested");
-    let end = folder.run("run -n 20 -k 400 --out disk/out");
-    assert_refused_without_run(&folder, &end, &["disk/out", "No space left on device"]);
+    let finished = folder.run("run -n 20 -k 400 --out disk/out");
+    assert_refused_without_run(&folder, &finished, &["disk/out", "No space left on device"]);
     fs::remove_file(folder.join("disk/ballast")).expect("removable");
     let again = folder.summary("run -n 20 -k 400 --out disk/out");
     assert_eq!(again.digest(), expected.digest());

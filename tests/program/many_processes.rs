@@ -16,9 +16,9 @@ fn assert_clean_run(scenario: &str, processes: u32) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("many");
-    let end = folder.run(&format!("up {scenario} -P {processes} --run {run} --json --out out"));
-    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
-    let summary = end.summary();
+    let finished = folder.run(&format!("up {scenario} -P {processes} --run {run} --json --out out"));
+    assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
+    let summary = finished.summary();
     assert_eq!(summary.digest(), expected.digest());
     for (field, value) in [
         ("hosts", u64::from(processes)),
@@ -26,7 +26,7 @@ fn assert_clean_run(scenario: &str, processes: u32) {
         ("unexpected_messages", 0),
         ("malformed_messages", 0),
     ] {
-        assert_eq!(summary.number(&format!("timing.{field}")), value, "{field}: {end}");
+        assert_eq!(summary.number(&format!("timing.{field}")), value, "{field}: {finished}");
     }
     assert!(hosts_of(&run).is_empty());
 }

@@ -39,10 +39,13 @@ async fn a_flood_of_answers_changes_no_result() {
     });
     let answer_count = run.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
     flooding.abort();
-    let (_, end) = run.finish();
-    assert!(end.is_success() && answer_count >= 400, "{answer_count}: {end}");
-    assert_eq!(end.summary().digest(), digest);
-    assert!(end.stderr.lines().count() < 40, "{end}");
+    let (_, finished) = run.finish();
+    assert!(
+        finished.is_success() && answer_count >= 400,
+        "{answer_count}: {finished}"
+    );
+    assert_eq!(finished.summary().digest(), digest);
+    assert!(finished.stderr.lines().count() < 40, "{finished}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -57,9 +60,12 @@ async fn a_repeated_answer_counts_once() {
             asked["tti"] != LAST_TTI
         })
         .await;
-    let (_, end) = run.finish();
-    assert!(end.is_success() && end.stderr.contains("answered twice"), "{end}");
-    assert!(end.summary().number("timing.decisions_refused") > 0, "{end}");
+    let (_, finished) = run.finish();
+    assert!(
+        finished.is_success() && finished.stderr.contains("answered twice"),
+        "{finished}"
+    );
+    assert!(finished.summary().number("timing.decisions_refused") > 0, "{finished}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -85,11 +91,11 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
                 true
             })
             .await;
-        let (_, end) = run.finish();
-        assert_eq!(end.code(), Some(1), "{end}");
+        let (_, finished) = run.finish();
+        assert_eq!(finished.code(), Some(1), "{finished}");
         assert!(
-            end.stderr.contains("3 invalid answers") && end.stderr.contains(why),
-            "{end}"
+            finished.stderr.contains("3 invalid answers") && finished.stderr.contains(why),
+            "{finished}"
         );
         // The third invalid answer ends the run, without another request.
         assert_eq!(refusals_received, 2, "reasons that the policy received");
@@ -116,12 +122,16 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
                 true
             })
             .await;
-        let (_, end) = run.finish();
+        let (_, finished) = run.finish();
         assert!(
-            end.code() == Some(1) && end.stderr.contains("no decision for TTI 0"),
-            "{end}"
+            finished.code() == Some(1) && finished.stderr.contains("no decision for TTI 0"),
+            "{finished}"
         );
-        assert_eq!(end.stderr.matches(why).count(), 1, "the warning appears once: {end}");
+        assert_eq!(
+            finished.stderr.matches(why).count(),
+            1,
+            "the warning appears once: {finished}"
+        );
     }
     let run = ExternallyDecidedRun::start("-P 2 --on-undecided hold");
     let rogue = MisbehavingPolicy::at(&run).await;
@@ -136,11 +146,14 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
             asked["tti"] != LAST_TTI
         })
         .await;
-    let (folder, end) = run.finish();
-    assert!(end.is_success(), "{end}");
-    let summary = end.summary();
+    let (folder, finished) = run.finish();
+    assert!(finished.is_success(), "{finished}");
+    let summary = finished.summary();
     let count = |name: &str| summary.number(&format!("timing.{name}"));
-    assert!(count("decisions_held") >= 1 && count("decisions_refused") >= 3, "{end}");
+    assert!(
+        count("decisions_held") >= 1 && count("decisions_refused") >= 3,
+        "{finished}"
+    );
     let replayed = folder.summary("run --policy replay=out/inputs.log");
     assert_eq!(replayed.digest(), summary.digest());
 }
@@ -164,10 +177,10 @@ async fn a_late_answer_does_not_count_for_another_request() {
             asked["tti"] != LAST_TTI
         })
         .await;
-    let (folder, end) = run.finish();
-    assert!(end.is_success(), "{end}");
-    let summary = end.summary();
-    assert!(summary.number("timing.decisions_held") >= 1, "{end}");
+    let (folder, finished) = run.finish();
+    assert!(finished.is_success(), "{finished}");
+    let summary = finished.summary();
+    assert!(summary.number("timing.decisions_held") >= 1, "{finished}");
     let replayed = folder.summary("run --policy replay=out/inputs.log");
     assert_eq!(replayed.digest(), summary.digest());
 }
@@ -189,8 +202,8 @@ async fn a_policy_process_with_a_wrong_key_cannot_decide() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    let both = async { tokio::join!(wrong_key_client, warning_logged) };
-    let (refused, ()) = tokio::time::timeout(PATIENCE, both)
+    let refusal_and_warning = async { tokio::join!(wrong_key_client, warning_logged) };
+    let (refused, ()) = tokio::time::timeout(PATIENCE, refusal_and_warning)
         .await
         .expect("a refusal and a warning");
     let refused = refused.expect_err("the client gets an error").to_string();
@@ -224,7 +237,7 @@ async fn a_policy_process_with_a_wrong_key_cannot_decide() {
         !forged_id.lock().expect("one thread").is_empty(),
         "the forger received no request"
     );
-    let (_, end) = run.finish();
-    assert!(end.is_success(), "{end}");
-    assert_eq!(end.summary().digest(), digest);
+    let (_, finished) = run.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert_eq!(finished.summary().digest(), digest);
 }

@@ -25,9 +25,9 @@ fn count_missed(folder: &TestFolder, run: &str) -> Vec<(String, f64, f64, u64)> 
 
 /// Returns the JSON report of a run folder.
 fn report(folder: &TestFolder, run: &str) -> Value {
-    let end = folder.run(&format!("inspect misses {run} --json"));
-    assert!(end.is_success(), "{end}");
-    serde_json::from_str(&end.stdout).expect("a report is JSON")
+    let finished = folder.run(&format!("inspect misses {run} --json"));
+    assert!(finished.is_success(), "{finished}");
+    serde_json::from_str(&finished.stdout).expect("a report is JSON")
 }
 
 /// Returns the sum of all numbers in a nested list.
@@ -60,15 +60,16 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
     }
     let map = &report["map"];
     assert_eq!((sum(&map["missed"]), sum(&map["devices"])), (missed.len() as u64, 20));
+    // The area has 20 m × 20 m and cells of 2 m; 2700 measured TTIs make ten bins.
     let north_east = missed.iter().filter(|(_, x, y, _)| *x >= 18.0 && *y >= 18.0).count();
     assert_eq!(map["missed"][9][9], north_east, "{map}");
-    let first = missed.iter().filter(|(.., start)| (300..570).contains(start)).count();
+    let in_first_bin = missed.iter().filter(|(.., start)| (300..570).contains(start)).count();
     assert_eq!(
         (&report["bins"][0]["missed"], &report["bins"][0]["end_tti"]),
-        (&first.into(), &570.into())
+        (&in_first_bin.into(), &570.into())
     );
 
-    let end = folder.run("inspect misses r");
+    let finished = folder.run("inspect misses r");
     let shown = format!("{} of {} events missed", missed.len(), report["events"]);
     for part in [
         &shown,
@@ -77,12 +78,12 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
         "Causes over time",
         "Nearest devices",
     ] {
-        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+        assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
     }
-    let widest = end.stdout.lines().map(|line| line.chars().count()).max();
-    assert!(widest <= Some(80), "{widest:?}: {end}");
-    let end = folder.run("figures misses r --format svg");
-    assert_eq!(end.stdout, "figures/misses-random-n20-s1.svg\n");
+    let widest = finished.stdout.lines().map(|line| line.chars().count()).max();
+    assert!(widest <= Some(80), "{widest:?}: {finished}");
+    let finished = folder.run("figures misses r --format svg");
+    assert_eq!(finished.stdout, "figures/misses-random-n20-s1.svg\n");
     let svg = String::from_utf8(folder.bytes("figures/misses-random-n20-s1.svg")).expect("text");
     assert!(svg.contains(&format!("{} of {} events were missed", missed.len(), report["events"])));
 }
@@ -95,10 +96,10 @@ fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
             .run("run --quiet -n 100 -k 300 --policy genie --out g")
             .is_success()
     );
-    let end = folder.run("inspect misses g");
+    let finished = folder.run("inspect misses g");
     assert!(
-        end.is_success() && end.stdout.contains("\n0 of ") && end.stdout.lines().count() == 2,
-        "{end}"
+        finished.is_success() && finished.stdout.contains("\n0 of ") && finished.stdout.lines().count() == 2,
+        "{finished}"
     );
     assert_eq!(report(&folder, "g")["advice"], Value::Null);
 
@@ -143,12 +144,12 @@ fn an_active_run_is_reported_so_far() {
         "up -n 10 -k 400 -P 1 --paused --run {run} --policy random --quiet --out out"
     ));
     folder.wait_for_tti(&run, 0);
-    let end = folder.run("inspect misses out");
+    let finished = folder.run("inspect misses out");
     assert!(
-        end.is_success() && end.stdout.contains("no counted event so far"),
-        "{end}"
+        finished.is_success() && finished.stdout.contains("no counted event so far"),
+        "{finished}"
     );
-    assert!(end.stderr.contains("out: the run is still active"), "{end}");
+    assert!(finished.stderr.contains("out: the run is still active"), "{finished}");
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());
     assert_eq!(report(&folder, "out")["missed"], count_missed(&folder, "out").len());

@@ -30,10 +30,10 @@ fn metrics_and_recording_do_not_change_the_digest() {
     assert!(plain.is_success(), "{plain}");
     for (index, command) in ["run", "up -P 2", "up -P 0 --no-lookahead"].into_iter().enumerate() {
         let observers = format!("--record {index}.mcap --record-states 7 --metrics 127.0.0.1:0");
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "{command} -p knn -n 30 -k 600 --quiet --out w{index} {observers}"
         ));
-        assert!(end.is_success() && end.stdout == plain.stdout, "{end}");
+        assert!(finished.is_success() && finished.stdout == plain.stdout, "{finished}");
     }
 }
 
@@ -113,8 +113,8 @@ fn an_unusable_address_is_refused_before_the_run() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("bound");
     for command in ["run", "up -P 1"] {
-        let end = folder.run(&format!("{command} -n 5 -k 60 --quiet --metrics {address}"));
-        assert_refused(&end, 1, &[&format!("--metrics {address}"), "in use"]);
+        let finished = folder.run(&format!("{command} -n 5 -k 60 --quiet --metrics {address}"));
+        assert_refused(&finished, 1, &[&format!("--metrics {address}"), "in use"]);
         assert_refused(
             &folder.run(&format!("{command} -n 5 -k 60 --quiet --metrics nowhere")),
             1,

@@ -22,13 +22,16 @@ fn a_run_with_removed_devices_can_be_repeated() {
         });
         folder.wait_for_tti(&run, tti + 60);
     }
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
-    assert!(end.stderr.contains("the run continues without its devices"), "{end}");
-    let summary = end.summary();
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert!(
+        finished.stderr.contains("the run continues without its devices"),
+        "{finished}"
+    );
+    let summary = finished.summary();
     assert_eq!((summary.status(), summary.text("audit")), ("complete", "complete"));
     assert_ne!(summary.digest(), undisturbed.digest());
-    assert!(!end.stdout.contains("\"removed_pct\": 0.0"), "{end}");
+    assert!(!finished.stdout.contains("\"removed_pct\": 0.0"), "{finished}");
     let read = |name: &str| String::from_utf8(folder.bytes(name)).expect("text");
     let log = read("out/inputs.log");
     assert_eq!(
@@ -90,8 +93,8 @@ fn a_killed_run_with_removed_devices_resumes() {
         (hosts_of(&run).len() == 1).then_some(())
     });
     folder.wait_for_tti(&run, tti + 60);
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     let again = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
     assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));

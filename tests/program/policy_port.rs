@@ -38,13 +38,13 @@ async fn external_decisions_of_a_policy_give_its_digest() {
         let set = set.concat();
         let run = ExternallyDecidedRun::start(&format!("{mode} --audit on{set}"));
         let answer_count = run.decide(encoding, |asked| answer(&transcript, asked)).await;
-        let (folder, end) = run.finish();
-        assert!(end.is_success(), "{policy}: {end}");
-        let summary = end.summary();
+        let (folder, finished) = run.finish();
+        assert!(finished.is_success(), "{policy}: {finished}");
+        let summary = finished.summary();
         assert_eq!(
             (summary.digest(), summary.text("audit")),
             (&*digest, "complete"),
-            "{policy}: {end}"
+            "{policy}: {finished}"
         );
         // At least a plan in each of the 400 TTIs of `SHORT_RUN`.
         let decision_count = summary.number("timing.decisions");
@@ -96,14 +96,14 @@ async fn killed_policy_and_device_processes_do_not_change_the_digest() {
         answer(&transcript, asked)
     })
     .await;
-    let (_, end) = run.finish();
-    assert!(end.is_success(), "{end}");
+    let (_, finished) = run.finish();
+    assert!(finished.is_success(), "{finished}");
     assert_eq!(
-        (end.summary().digest(), end.summary().text("audit")),
+        (finished.summary().digest(), finished.summary().text("audit")),
         (&*digest, "complete")
     );
-    assert!(end.stderr.contains("the first has not answered"), "{end}");
-    assert!(end.stderr.contains(" run again after "), "{end}");
+    assert!(finished.stderr.contains("the first has not answered"), "{finished}");
+    assert!(finished.stderr.contains(" run again after "), "{finished}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -133,8 +133,8 @@ async fn a_resumed_base_station_requests_only_new_decisions() {
             answer(&transcript, asked)
         })
         .await;
-    let (folder, end) = resumed.finish();
-    assert!(end.is_success(), "{end}");
+    let (folder, finished) = resumed.finish();
+    assert!(finished.is_success(), "{finished}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), digest);
     // The last answers before the kill may not have arrived.
     assert!(
@@ -163,9 +163,9 @@ async fn a_late_recording_is_complete() {
     .await;
     let recorded = late.expect("a request in TTI 150").finish();
     assert!(recorded.is_success(), "{recorded}");
-    let (folder, end) = run.finish();
-    assert!(end.is_success(), "{end}");
-    assert_eq!(end.summary().digest(), digest);
+    let (folder, finished) = run.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert_eq!(finished.summary().digest(), digest);
     let same = folder.run("compare --exit-code whole.mcap late.mcap");
     assert!(same.is_success(), "{same}");
     let verified = folder.run("inspect verify whole.mcap");
@@ -246,8 +246,8 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
     let (folder, _) = run.finish();
     let resumed = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
     resumed.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
-    let (folder, end) = resumed.finish();
-    assert!(end.is_success(), "{end}");
+    let (folder, finished) = resumed.finish();
+    assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     let replayed = folder.summary("run --policy replay=out");
     assert_eq!((summary.digest(), summary.status()), (replayed.digest(), "complete"));
@@ -260,10 +260,10 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
         folder.write("cut.log", &cut_lines.join("\n"));
         for command in ["run", "up -P 1"] {
             let scenario = "--scenario out/scenario.toml --policy replay=cut.log";
-            let end = folder.run(&format!("{command} {scenario} --out cut --force"));
+            let finished = folder.run(&format!("{command} {scenario} --out cut --force"));
             assert!(
-                end.code() == Some(1) && end.stderr.contains("for TTI"),
-                "{command}: {end}"
+                finished.code() == Some(1) && finished.stderr.contains("for TTI"),
+                "{command}: {finished}"
             );
         }
     }
@@ -272,33 +272,33 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
 #[test]
 fn a_missing_policy_process_is_reported_and_waited_for() {
     let run = ExternallyDecidedRun::start("-P 1 --decision-timeout 1s");
-    let (_, end) = run.finish();
+    let (_, finished) = run.finish();
     assert!(
-        end.code() == Some(1)
-            && end.stderr.contains("no policy process answers at reveille/")
-            && end.stderr.contains("--policy-command"),
-        "{end}"
+        finished.code() == Some(1)
+            && finished.stderr.contains("no policy process answers at reveille/")
+            && finished.stderr.contains("--policy-command"),
+        "{finished}"
     );
 
     let two_ttis = "up -n 30 -k 2 -p external --out out -P 1 --decision-timeout 1s --on-undecided hold";
     let run = ExternallyDecidedRun::start_in(TestFolder::new(), two_ttis);
-    let (_, end) = run.finish();
+    let (_, finished) = run.finish();
     assert!(
-        end.is_success() && end.summary().number("timing.decisions_held") >= 2,
-        "{end}"
+        finished.is_success() && finished.summary().number("timing.decisions_held") >= 2,
+        "{finished}"
     );
 
     let run = ExternallyDecidedRun::start("-P 1");
     run.process
         .wait_for_stderr("no decision for 5 s: no policy process answers at reveille/");
     run.process.signal(Signal::INT);
-    let (folder, end) = run.finish();
-    assert_eq!(end.code(), Some(130), "{end}");
+    let (folder, finished) = run.finish();
+    assert_eq!(finished.code(), Some(130), "{finished}");
     // The run can be resumed with a decision timeout.
-    let end = folder.run("up --resume out -P 1 --decision-timeout 200ms");
+    let finished = folder.run("up --resume out -P 1 --decision-timeout 200ms");
     assert!(
-        end.code() == Some(1) && end.stderr.contains("no decision for TTI 0"),
-        "{end}"
+        finished.code() == Some(1) && finished.stderr.contains("no decision for TTI 0"),
+        "{finished}"
     );
 }
 
@@ -311,11 +311,14 @@ fn a_policy_command_and_its_run_end_together() {
     );
     let mut up = folder.command(&format!("up {SHORT_RUN} -p external -P 2 --out ends --run ends"));
     up.args(["--policy-command", &format!("sh {}", script.display())]);
-    let end = Process::start(&mut up).finish();
-    assert!(end.code() == Some(1) && end.stderr.contains("policy of ends"), "{end}");
+    let finished = Process::start(&mut up).finish();
     assert!(
-        end.stderr.contains("the policy process") && end.stderr.contains("exit status: 4"),
-        "{end}"
+        finished.code() == Some(1) && finished.stderr.contains("policy of ends"),
+        "{finished}"
+    );
+    assert!(
+        finished.stderr.contains("the policy process") && finished.stderr.contains("exit status: 4"),
+        "{finished}"
     );
     // A silent policy command ends with the run.
     let (run, policy) = start_with_silent_policy(&folder, "sleeps", "exec sleep 1000");
@@ -435,10 +438,10 @@ fn invalid_policy_options_are_refused_before_a_folder_exists() {
         ),
     ];
     for (command, why) in cases {
-        let end = folder.run(&format!("{command} --out out"));
+        let finished = folder.run(&format!("{command} --out out"));
         assert!(
-            matches!(end.code(), Some(1 | 2)) && end.stderr.contains(why),
-            "{command}: {end}"
+            matches!(finished.code(), Some(1 | 2)) && finished.stderr.contains(why),
+            "{command}: {finished}"
         );
         assert!(folder.list("out").is_empty(), "{command}");
     }

@@ -23,20 +23,21 @@ const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 const FREEZE_LIMIT: Duration = Duration::from_secs(8);
 
 /// Checks the end of a run whose process was killed or frozen at `since`, less than `limit` ago.
-fn assert_lost(end: &FinishedProcess, since: Instant, limit: Duration) {
+fn assert_lost(finished: &FinishedProcess, since: Instant, limit: Duration) {
     let elapsed = since.elapsed();
-    assert_eq!(end.code(), Some(1), "{end}");
+    assert_eq!(finished.code(), Some(1), "{finished}");
     for part in ["lost host", "with devices ", " at TTI "] {
-        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+        assert!(finished.stderr.contains(part), "no {part:?}: {finished}");
     }
     assert_eq!(
-        end.stderr
+        finished
+            .stderr
             .trim()
             .lines()
             .filter(|line| line.starts_with("reveille: "))
             .count(),
         1,
-        "{end}"
+        "{finished}"
     );
     assert!(elapsed < limit, "detected only after {elapsed:?}");
 }
@@ -63,15 +64,15 @@ fn a_killed_device_process_ends_up() {
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[2], Signal::KILL);
-    let end = up.finish();
-    assert_lost(&end, since, DETECTION_LIMIT);
+    let finished = up.finish();
+    assert_lost(&finished, since, DETECTION_LIMIT);
     assert_no_process_left(&run);
     assert_eq!(
         folder.list("out"),
         ["FAILED", "events.csv", "resume.json", "scenario.toml", "windows.csv"]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
-    for message in [&why, &end.stderr] {
+    for message in [&why, &finished.stderr] {
         let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
         assert!(message.contains(&pid) && !message.contains("--on-loss"), "{message}");
     }
@@ -99,9 +100,9 @@ fn a_killed_device_process_ends_bs_and_is_named() {
     let (bs, [host_0, host_1]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     host_0.signal(Signal::KILL);
-    let end = bs.finish();
-    assert_lost(&end, since, DETECTION_LIMIT);
-    assert!(end.stderr.contains("host 0 with devices 0 to 9 "), "{end}");
+    let finished = bs.finish();
+    assert_lost(&finished, since, DETECTION_LIMIT);
+    assert!(finished.stderr.contains("host 0 with devices 0 to 9 "), "{finished}");
     let host_1 = host_1.finish();
     assert_eq!(host_1.code(), Some(1), "the other hosts fail too: {host_1}");
     assert!(host_1.stderr.contains("the run has failed: lost host 0"), "{host_1}");
@@ -113,9 +114,9 @@ fn a_frozen_device_process_is_lost_after_its_lease() {
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[1], Signal::STOP);
-    let end = up.finish();
-    assert_lost(&end, since, FREEZE_LIMIT);
-    assert!(end.stderr.contains("froze"), "{end}");
+    let finished = up.finish();
+    assert_lost(&finished, since, FREEZE_LIMIT);
+    assert!(finished.stderr.contains("froze"), "{finished}");
     assert_no_process_left(&run);
 }
 
@@ -136,12 +137,12 @@ fn check_thawed_process(scenario: &str) {
         "the clock of the waiting run"
     );
     send_signal(hosts[1], Signal::CONT);
-    let end = up.finish();
-    assert!(end.stderr.contains("is back"), "{end}");
-    let summary = end.summary();
+    let finished = up.finish();
+    assert!(finished.stderr.contains("is back"), "{finished}");
+    let summary = finished.summary();
     assert_eq!(summary.digest(), expected.digest());
     // The summary reports the delay against the pace.
-    assert!(summary.number("timing.late_ttis") > 0, "{end}");
+    assert!(summary.number("timing.late_ttis") > 0, "{finished}");
 }
 
 #[test]
@@ -173,8 +174,8 @@ fn no_device_process_outlives_a_killed_up() {
     // A frozen process cannot exit: the kernel has to kill it.
     send_signal(hosts[0], Signal::STOP);
     up.signal(Signal::KILL);
-    let end = up.finish();
-    assert_eq!(end.code(), None, "{end}");
+    let finished = up.finish();
+    assert_eq!(finished.code(), None, "{finished}");
     assert_no_process_left(&run);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),
@@ -193,8 +194,8 @@ fn check_interrupted_run(command: &str, signal: Signal) {
         (up_mid_run(&folder, &run, LONG).0, Vec::new())
     };
     process.signal(signal);
-    let end = process.finish();
-    assert_eq!(end.code(), Some(130), "{end}");
+    let finished = process.finish();
+    assert_eq!(finished.code(), Some(130), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.status(), "interrupted");
     assert!((10..12_000).contains(&summary.number("ttis_done")), "{summary:?}");
@@ -251,11 +252,11 @@ fn a_base_station_that_waits_for_devices_can_be_interrupted() {
     // The clock answers as soon as the run is prepared.
     folder.wait_for_clock(&run);
     bs.signal(Signal::INT);
-    let end = bs.finish();
-    assert_eq!(end.code(), Some(130), "{end}");
+    let finished = bs.finish();
+    assert_eq!(finished.code(), Some(130), "{finished}");
     assert!(
-        end.stderr.contains("interrupted before all devices had joined"),
-        "{end}"
+        finished.stderr.contains("interrupted before all devices had joined"),
+        "{finished}"
     );
     assert!(!folder.list("out").contains(&"RUNNING".to_owned()));
 }
@@ -267,11 +268,11 @@ fn device_processes_of_a_killed_base_station_end() {
     bs.signal(Signal::KILL);
     bs.finish();
     for host in hosts {
-        let end = host.finish();
-        assert_eq!(end.code(), Some(1), "{end}");
+        let finished = host.finish();
+        assert_eq!(finished.code(), Some(1), "{finished}");
         assert!(
-            end.stderr.contains(&format!("lost the base station of run {run}")),
-            "{end}"
+            finished.stderr.contains(&format!("lost the base station of run {run}")),
+            "{finished}"
         );
     }
 }

@@ -34,8 +34,8 @@ fn metrics_equal_a_recomputation_from_the_tables() {
     let mut recompute = Command::new("python3");
     recompute.arg(script);
     for (number, args) in all_options.iter().enumerate() {
-        let end = folder.run(&format!("run {args} --quiet --out run{number}"));
-        assert!(end.is_success(), "{args}: {end}");
+        let finished = folder.run(&format!("run {args} --quiet --out run{number}"));
+        assert!(finished.is_success(), "{args}: {finished}");
         recompute.arg(folder.join(&format!("run{number}")));
     }
     let output = recompute.output().expect("python3 starts");

@@ -11,9 +11,10 @@ use serde_json::Value;
 
 /// Returns the messages that `tail --json` shows for a recording; `args` begins with its file.
 fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
-    let end = folder.run(&format!("inspect tail --json {args}"));
-    assert!(end.is_success(), "{end}");
-    end.stdout
+    let finished = folder.run(&format!("inspect tail --json {args}"));
+    assert!(finished.is_success(), "{finished}");
+    finished
+        .stdout
         .lines()
         .map(|line| serde_json::from_str(line).expect("JSON"))
         .collect()
@@ -21,19 +22,22 @@ fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
 
 /// Counts the messages that `tail` shows for a truncated recording.
 fn count_in_truncated(folder: &TestFolder, file: &str) -> usize {
-    let end = folder.run(&format!("inspect tail --json {file}"));
-    assert_eq!(end.code(), Some(1), "{end}");
-    end.stdout.lines().count()
+    let finished = folder.run(&format!("inspect tail --json {file}"));
+    assert_eq!(finished.code(), Some(1), "{finished}");
+    finished.stdout.lines().count()
 }
 
 /// In this run sums of squares exceed 64 bits.
 #[test]
 fn a_long_run_is_verified() {
     let folder = TestFolder::new();
-    let end = folder.run("run -p knn -n 50 -k 10000 --record r.mcap --quiet --out o");
-    assert!(end.is_success(), "{end}");
-    let end = folder.run("inspect verify r.mcap");
-    assert!(end.is_success() && end.stdout.contains("TTIs 0 to 9999"), "{end}");
+    let finished = folder.run("run -p knn -n 50 -k 10000 --record r.mcap --quiet --out o");
+    assert!(finished.is_success(), "{finished}");
+    let finished = folder.run("inspect verify r.mcap");
+    assert!(
+        finished.is_success() && finished.stdout.contains("TTIs 0 to 9999"),
+        "{finished}"
+    );
 }
 
 #[test]
@@ -57,11 +61,14 @@ fn assert_same_recordings(options: &str) {
         ("bus", "up -P 3"),
         ("one-process", "up -P 0 --no-lookahead"),
     ] {
-        let end = folder.run(&format!("{command} {options} --record {name}.mcap --out {name}"));
-        assert!(end.is_success(), "{end}");
-        digests.push(end.stdout);
-        let end = folder.run(&format!("inspect verify {name}.mcap"));
-        assert!(end.is_success() && end.stdout.contains("as in the summary"), "{end}");
+        let finished = folder.run(&format!("{command} {options} --record {name}.mcap --out {name}"));
+        assert!(finished.is_success(), "{finished}");
+        digests.push(finished.stdout);
+        let finished = folder.run(&format!("inspect verify {name}.mcap"));
+        assert!(
+            finished.is_success() && finished.stdout.contains("as in the summary"),
+            "{finished}"
+        );
     }
     assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
     for plane in ["air", "truth"] {
@@ -86,9 +93,9 @@ fn assert_same_recordings(options: &str) {
 #[test]
 fn tail_filters_messages_and_pairs_wake_ups() {
     let folder = TestFolder::new();
-    let end = folder
+    let finished = folder
         .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
-    assert!(end.is_success(), "{end}");
+    assert!(finished.is_success(), "{finished}");
     let all = shown_messages(&folder, "r.mcap");
     let assert_filtered = |args: &str, passes: &dyn Fn(&Value) -> bool| {
         let expected: Vec<Value> = all.iter().filter(|line| passes(line)).cloned().collect();
@@ -136,10 +143,10 @@ fn tail_filters_messages_and_pairs_wake_ups() {
 #[test]
 fn statistics_equal_the_summary() {
     let folder = TestFolder::new();
-    let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
-    let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
-    let end = folder.run("inspect stats r.mcap --json --devices");
-    let stats: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
+    let summary: Value = serde_json::from_str(&finished.stdout).unwrap_or_else(|_| panic!("{finished}"));
+    let finished = folder.run("inspect stats r.mcap --json --devices");
+    let stats: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     assert_eq!(stats["control"], summary["totals"]["control"], "{stats}");
     assert_eq!(stats["uplink"], summary["totals"]["uplink"]);
     assert_eq!(stats["ttis"], 500);
@@ -163,14 +170,17 @@ fn a_killed_run_leaves_a_readable_recording() {
     folder.wait_for_tti(&run, 3000);
     up.signal(Signal::KILL);
     up.finish();
-    let end = folder.run("inspect verify r.mcap");
-    assert_eq!(end.code(), Some(1), "{end}");
+    let finished = folder.run("inspect verify r.mcap");
+    assert_eq!(finished.code(), Some(1), "{finished}");
     assert!(
-        end.stdout.contains("are consistent") && end.stderr.contains("truncated"),
-        "{end}"
+        finished.stdout.contains("are consistent") && finished.stderr.contains("truncated"),
+        "{finished}"
     );
-    let end = folder.run("inspect tail r.mcap --kind event -c 5");
-    assert!(end.is_success() && end.stdout.lines().count() == 5, "{end}");
+    let finished = folder.run("inspect tail r.mcap --kind event -c 5");
+    assert!(
+        finished.is_success() && finished.stdout.lines().count() == 5,
+        "{finished}"
+    );
     // Ctrl-C ends a run, and its recording is complete up to that point.
     let up = folder.start(&format!(
         "up -P 1 -n 30 -k 100000 --run {run} --record c.mcap --quiet --out p"
@@ -178,8 +188,11 @@ fn a_killed_run_leaves_a_readable_recording() {
     folder.wait_for_tti(&run, 1000);
     up.signal(Signal::INT);
     assert_eq!(up.finish().code(), Some(130));
-    let end = folder.run("inspect verify c.mcap");
-    assert!(end.is_success() && end.stdout.contains("as in the summary"), "{end}");
+    let finished = folder.run("inspect verify c.mcap");
+    assert!(
+        finished.is_success() && finished.stdout.contains("as in the summary"),
+        "{finished}"
+    );
 }
 
 #[test]
@@ -207,20 +220,20 @@ fn invalid_recordings_are_refused() {
             assert_refused(&folder.run(&format!("inspect {command} {file}")), 1, &[file]);
         }
         // The messages before the truncation are shown.
-        let end = folder.run(&format!("inspect {command} cut.mcap"));
+        let finished = folder.run(&format!("inspect {command} cut.mcap"));
         assert!(
-            end.code() == Some(1) && end.stderr.contains("cut.mcap: is truncated"),
-            "{end}"
+            finished.code() == Some(1) && finished.stderr.contains("cut.mcap: is truncated"),
+            "{finished}"
         );
     }
     // The readable part is exported in full. An existing file is replaced only when the new one is complete.
     let rows = String::from_utf8_lossy(&folder.bytes("cut.csv")).lines().count();
     assert_eq!(rows, 1 + count_in_truncated(&folder, "cut.mcap"));
-    let end = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
-    assert_refused(&end, 1, &["r.mcap: is the recording itself"]);
+    let finished = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
+    assert_refused(&finished, 1, &["r.mcap: is the recording itself"]);
     assert_eq!(folder.bytes("r.mcap"), bytes);
-    let end = folder.run("inspect export text.mcap --to csv --out cut.csv --force");
-    assert_refused(&end, 1, &["text.mcap"]);
+    let finished = folder.run("inspect export text.mcap --to csv --out cut.csv --force");
+    assert_refused(&finished, 1, &["text.mcap"]);
     assert!(folder.join("cut.csv").exists() && !folder.join("cut.csv.part").exists());
     assert!(!folder.join("runs").exists(), "a refusal leaves no folder");
     assert_refused(
@@ -255,16 +268,16 @@ fn observers_that_join_early_and_late_record_the_same_run() {
     folder.clock(&run, "run-to 137 --wait");
     let late = start("late.mcap");
     folder.clock(&run, "resume");
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
     let digest = folder.run("run -n 20 -k 300 --quiet --out p").stdout;
     let digest = digest.trim().trim_start_matches("digest ").to_owned();
     for (record, file) in [(early, "early.mcap"), (late, "late.mcap")] {
         let record = record.finish();
         assert!(record.is_success() && record.stderr.contains("recorded "), "{record}");
-        let end = folder.run(&format!("inspect verify {file}"));
-        assert!(end.stdout.contains(&digest), "{end}");
-        assert_refused(&end, 1, &["no summary"]);
+        let finished = folder.run(&format!("inspect verify {file}"));
+        assert!(finished.stdout.contains(&digest), "{finished}");
+        assert_refused(&finished, 1, &["no summary"]);
     }
     assert!(shown_messages(&folder, "late.mcap --plane air") == shown_messages(&folder, "early.mcap --plane air"));
 }
@@ -284,10 +297,10 @@ fn exports_contain_every_message() {
         ("csv", "csv"),
         ("parquet", "parquet"),
     ] {
-        let end = folder.run(&format!("inspect export r.mcap --to {format}"));
+        let finished = folder.run(&format!("inspect export r.mcap --to {format}"));
         assert!(
-            end.is_success() && end.stderr.contains(&format!("{messages} messages")),
-            "{end}"
+            finished.is_success() && finished.stderr.contains(&format!("{messages} messages")),
+            "{finished}"
         );
         assert!(folder.bytes(&format!("r.{ending}")).len() > 1000);
         assert_refused(
@@ -296,8 +309,8 @@ fn exports_contain_every_message() {
             &["--force"],
         );
     }
-    let end = folder.run("inspect export --dissector d.lua");
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run("inspect export --dissector d.lua");
+    assert!(finished.is_success(), "{finished}");
     assert_refused(&folder.run("inspect export r.mcap"), 2, &["--to"]);
     assert_refused(
         &folder.run("inspect export r.mcap --to perfetto --since 5 --force"),

@@ -58,8 +58,8 @@ fn assert_not_trusted(folder: &TestFolder, why: &str) {
         folder.write(&entry_path, &entry);
     }
     for command in ["clock status", "inspect tail --count 1"] {
-        let end = folder.run(&format!("{command} --run {run}"));
-        assert_refused(&end, 1, &[REGISTRY, why, "XDG_RUNTIME_DIR", "--connect"]);
+        let finished = folder.run(&format!("{command} --run {run}"));
+        assert_refused(&finished, 1, &[REGISTRY, why, "XDG_RUNTIME_DIR", "--connect"]);
     }
     let before = folder.list(REGISTRY);
     let up = folder.run(&format!("up -P 1 -n 5 -k 100 --quiet --run {run} --out {run}"));
@@ -82,8 +82,8 @@ fn a_registry_open_to_others_is_not_trusted() {
         assert_not_trusted(&folder, "chmod 700");
     }
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
-    let end = folder.run("clock status");
-    assert_refused(&end, 1, &["no run on this machine"]);
+    let finished = folder.run("clock status");
+    assert_refused(&finished, 1, &["no run on this machine"]);
 }
 
 #[test]
@@ -120,8 +120,8 @@ fn a_relative_runtime_folder_is_not_used() {
     let (folder, run) = (TestFolder::new(), unique_run("relative"));
     let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
     command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());
-    let end = Process::start(&mut command).finish();
-    assert!(end.is_success(), "{end}");
+    let finished = Process::start(&mut command).finish();
+    assert!(finished.is_success(), "{finished}");
     assert!(!folder.join(REGISTRY).exists());
     assert_eq!(mode(&folder, &format!("reveille-{}", getuid().as_raw())), 0o700);
 }

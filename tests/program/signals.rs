@@ -76,7 +76,7 @@ fn check_signals(folder: &TestFolder, cases: &[Case]) {
     let (is_over, next) = (AtomicBool::new(false), AtomicUsize::new(0));
     let (is_over, next) = (&is_over, &next);
     let can_interrupt = !ignores_interrupts();
-    let ends = Mutex::new(BTreeMap::<(&str, String), usize>::new());
+    let statuses = Mutex::new(BTreeMap::<(&str, String), usize>::new());
     thread::scope(|scope| {
         for _ in 0..SPINNING_THREADS {
             scope.spawn(|| {
@@ -95,9 +95,9 @@ fn check_signals(folder: &TestFolder, cases: &[Case]) {
                 } else {
                     Signal::TERM
                 };
-                let end = check_signal(folder, case, number, signal);
-                let mut ends = ends.lock().unwrap_or_else(PoisonError::into_inner);
-                *ends.entry((&case.args, end)).or_default() += 1;
+                let status = check_signal(folder, case, number, signal);
+                let mut statuses = statuses.lock().unwrap_or_else(PoisonError::into_inner);
+                *statuses.entry((&case.args, status)).or_default() += 1;
             }
         };
         let workers: Vec<_> = (0..WORKERS).map(|_| scope.spawn(work)).collect();
@@ -105,8 +105,8 @@ fn check_signals(folder: &TestFolder, cases: &[Case]) {
         is_over.store(true, Ordering::Relaxed);
         assert!(results.iter().all(Result::is_ok), "a command failed, as printed above");
     });
-    for ((args, end), count) in ends.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        println!("{count:>3} {end}: {args}");
+    for ((args, status), count) in statuses.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        println!("{count:>3} {status}: {args}");
     }
 }
 
@@ -126,44 +126,51 @@ fn check_signal(folder: &TestFolder, case: &Case, number: usize, signal: Signal)
     let pid = process.pid();
     thread::sleep(delay);
     process.signal(signal);
-    let end = process.finish();
-    let what = format!("{}: {signal:?} after {delay:?}: {end}", case.args);
-    let left: Vec<String> = folder.list(".").into_iter().filter(|name| is_of(name, &out)).collect();
-    match (case.ending, end.code()) {
+    let finished = process.finish();
+    let context = format!("{}: {signal:?} after {delay:?}: {finished}", case.args);
+    let remaining_files: Vec<String> = folder
+        .list(".")
+        .into_iter()
+        .filter(|name| belongs_to(name, &out))
+        .collect();
+    match (case.ending, finished.code()) {
         (Interrupted, Some(130)) | (Shown, Some(0 | 130)) | (ByDefault, Some(0)) => {}
         (Interrupted | Shown | ByDefault, None) => {
-            assert_eq!(end.status.signal(), Some(signal.as_raw()), "{what}");
+            assert_eq!(finished.status.signal(), Some(signal.as_raw()), "{context}");
             if case.ending != ByDefault {
-                assert!(left.is_empty() || is_resumed, "files {left:?} remain: {what}");
                 assert!(
-                    !HANDLERS_INSTALLED.iter().any(|text| end.stderr.contains(text)),
-                    "{what}"
+                    remaining_files.is_empty() || is_resumed,
+                    "files {remaining_files:?} remain: {context}"
+                );
+                assert!(
+                    !HANDLERS_INSTALLED.iter().any(|text| finished.stderr.contains(text)),
+                    "{context}"
                 );
             }
         }
-        (Interrupted | Shown | ByDefault, Some(_)) => panic!("{what}"),
+        (Interrupted | Shown | ByDefault, Some(_)) => panic!("{context}"),
     }
     let files = folder.list(&out);
     assert!(
-        end.code().is_none() || !files.iter().any(|file| file == "RUNNING"),
-        "files {files:?}: {what}"
+        finished.code().is_none() || !files.iter().any(|file| file == "RUNNING"),
+        "files {files:?}: {context}"
     );
     let registered = folder.list("runtime/reveille");
     let entry = format!("-{pid}.json");
     assert!(
         !registered.iter().any(|name| name.ends_with(&entry)),
-        "registry {registered:?}: {what}"
+        "registry {registered:?}: {context}"
     );
-    wait_until(&format!("the end of all its processes: {what}"), PATIENCE, || {
+    wait_until(&format!("the end of all its processes: {context}"), PATIENCE, || {
         marked_processes(&mark).is_empty().then_some(())
     });
-    end.status.to_string()
+    finished.status.to_string()
 }
 
 /// Whether the file or folder `name` belongs to the process with this `out`.
-fn is_of(name: &str, out: &str) -> bool {
+fn belongs_to(name: &str, out: &str) -> bool {
     name.strip_prefix(out)
-        .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        .is_some_and(|suffix| suffix.is_empty() || suffix.starts_with('.'))
 }
 
 /// Returns the live processes that carry `mark`.
@@ -193,8 +200,8 @@ fn copy(folder: &TestFolder, from: &str, to: &str) {
 
 /// Runs `reveille ARGS`, whose output the tested commands read.
 fn prepare(folder: &TestFolder, args: &str) {
-    let end: FinishedProcess = folder.run(args);
-    assert!(end.is_success(), "{args}: {end}");
+    let finished: FinishedProcess = folder.run(args);
+    assert!(finished.is_success(), "{args}: {finished}");
 }
 
 #[test]

@@ -21,8 +21,8 @@ const RUNS: usize = 4 * 2 * 12 * 2;
 
 /// Runs `reveille sweep ARGS --out OUT` and returns the bytes of its table.
 fn sweep_table(folder: &TestFolder, args: &str, out: &str) -> Vec<u8> {
-    let end = folder.run(&format!("sweep {args} --out {out} --quiet"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("sweep {args} --out {out} --quiet"));
+    assert!(finished.is_success(), "{finished}");
     fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table")
 }
 
@@ -89,8 +89,8 @@ fn threads_and_shards_do_not_change_the_table() {
 #[test]
 fn rows_of_the_table_equal_single_runs() {
     let folder = TestFolder::new();
-    let end = folder.run(&format!("sweep {GRID} --format csv --quiet --out s"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("sweep {GRID} --format csv --quiet --out s"));
+    assert!(finished.is_success(), "{finished}");
     let rows = read_rows(&folder.join("s/results.csv"));
     assert_eq!(rows.len(), RUNS);
     // The first row, the last and some between them.
@@ -161,14 +161,14 @@ fn a_killed_sweep_resumes_with_the_same_table() {
         assert!(lines >= found, "finished runs were lost");
         found = lines;
     }
-    let end = folder.run(&format!("sweep {grid} --out killed"));
-    assert!(end.is_success(), "{end}");
-    assert!(end.stderr.contains(" finished runs found in killed"), "{end}");
+    let finished = folder.run(&format!("sweep {grid} --out killed"));
+    assert!(finished.is_success(), "{finished}");
+    assert!(finished.stderr.contains(" finished runs found in killed"), "{finished}");
     let table = fs::read(folder.join("killed/results.parquet")).expect("a table");
     assert!(table == expected, "the table of a killed sweep differs");
     // A repeated command finds nothing left to do.
-    let end = folder.run(&format!("sweep {grid} --out killed --json"));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("sweep {grid} --out killed --json"));
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     assert_eq!(
         (&report["found"], &report["runs"]),
         (&Value::from(RUNS), &Value::from(RUNS))
@@ -223,22 +223,23 @@ fn runs_of_damaged_journal_rows_are_repeated() {
     bytes.truncate(length - 37);
     fs::write(&journal, bytes).expect("written");
     fs::remove_file(folder.join("s/results.parquet")).expect("there");
-    let end = folder.run(&format!("sweep {GRID} --out s"));
+    let finished = folder.run(&format!("sweep {GRID} --out s"));
     assert!(
-        end.stderr
+        finished
+            .stderr
             .contains("s/runs.journal: 2 rows were damaged and have been removed"),
-        "{end}"
+        "{finished}"
     );
     assert!(
-        end.stderr.contains(&format!("{} finished runs found", RUNS - 2)),
-        "{end}"
+        finished.stderr.contains(&format!("{} finished runs found", RUNS - 2)),
+        "{finished}"
     );
     let table = fs::read(folder.join("s/results.parquet")).expect("a table");
     assert!(table == expected);
-    let end = folder.run(&format!("sweep {GRID} --out s"));
+    let finished = folder.run(&format!("sweep {GRID} --out s"));
     assert!(
-        end.is_success() && !end.stderr.contains("damaged"),
-        "the warning is not repeated: {end}"
+        finished.is_success() && !finished.stderr.contains("damaged"),
+        "the warning is not repeated: {finished}"
     );
 
     fs::create_dir_all(folder.join("notes")).expect("writable");
@@ -275,10 +276,10 @@ fn two_sweeps_cannot_use_one_folder() {
 fn tables_of_another_version_or_format_are_not_merged() {
     let folder = TestFolder::new();
     for index in 1..=2 {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "sweep --devices 5 --ttis 50 --seeds 4 --shard {index}/2 --format csv -q --out s{index}"
         ));
-        assert!(end.is_success(), "{end}");
+        assert!(finished.is_success(), "{finished}");
     }
     let side_car = folder.join("s2/results.csv.toml");
     let text = fs::read_to_string(&side_car).expect("there");
@@ -287,8 +288,8 @@ fn tables_of_another_version_or_format_are_not_merged() {
         text.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\""),
     )
     .expect("written");
-    let end = folder.run("merge s1 s2 --out m.csv");
-    assert_refused(&end, 1, &["s2/results.csv", "version 4", "reads versions 1 to 3"]);
+    let finished = folder.run("merge s1 s2 --out m.csv");
+    assert_refused(&finished, 1, &["s2/results.csv", "version 4", "reads versions 1 to 3"]);
     fs::write(&side_car, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side_car, text).expect("written");
@@ -372,11 +373,11 @@ fn invalid_experiments_are_refused_before_the_first_run() {
         assert!(!folder.join("s").exists(), "{args}");
     }
     for (flag, least) in [("--seeds", 1), ("--first-seed", 0), ("--min-seeds", 2)] {
-        let end = folder.run(&format!("sweep {flag} -5 --out s"));
-        assert_refused(&end, 2, &[flag, "-5", &format!("whole number from {least}")]);
+        let finished = folder.run(&format!("sweep {flag} -5 --out s"));
+        assert_refused(&finished, 2, &[flag, "-5", &format!("whole number from {least}")]);
     }
-    let end = folder.run("sweep --until-ci 1% --ci-metrics events,colour --out s");
-    assert_refused(&end, 2, &["'colour' for '--ci-metrics", "info_per_event"]);
+    let finished = folder.run("sweep --until-ci 1% --ci-metrics events,colour --out s");
+    assert_refused(&finished, 2, &["'colour' for '--ci-metrics", "info_per_event"]);
     for shard in ["5/4", "0/3", "x/y", "2", "1/0"] {
         assert_refused(
             &folder.run(&format!("sweep --shard {shard} --out s")),
@@ -390,16 +391,19 @@ fn invalid_experiments_are_refused_before_the_first_run() {
 #[test]
 fn a_dry_run_shows_the_grid_and_runs_nothing() {
     let folder = TestFolder::new();
-    let end = folder.run(&format!("sweep {GRID} --dry-run --out s"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("sweep {GRID} --dry-run --out s"));
+    assert!(finished.is_success(), "{finished}");
     for part in [
         "genie, devices = 20, ttis = 600, harvest.lambda = 0.1",
         "16 cells × 12 seeds from 5: 192 runs",
     ] {
-        assert!(end.stdout.contains(part), "{end}");
+        assert!(finished.stdout.contains(part), "{finished}");
     }
-    let end = folder.run("sweep --devices 5 --ttis 50 --seeds 1 --dry-run");
-    assert!(end.stdout.contains("1 cell × 1 seed from 1: 1 run, "), "{end}");
+    let finished = folder.run("sweep --devices 5 --ttis 50 --seeds 1 --dry-run");
+    assert!(
+        finished.stdout.contains("1 cell × 1 seed from 1: 1 run, "),
+        "{finished}"
+    );
     assert!(!folder.join("s").exists());
 }
 
@@ -461,9 +465,9 @@ fn a_full_disk_loses_no_finished_run() {
     let ballast = path.join("ballast");
     // Leaves about 36 of 256 kB, enough for some runs only.
     fs::write(&ballast, vec![0; 220 * 1024]).expect("there is room for it");
-    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
+    let finished = folder.run(&format!("sweep {GRID} --out disk/s"));
     assert_refused(
-        &end,
+        &finished,
         1,
         &[
             "disk/s/runs.journal",
@@ -475,10 +479,10 @@ fn a_full_disk_loses_no_finished_run() {
     let kept = folder.count_finished_runs("disk/s");
     assert!(kept > 20 && kept < RUNS, "{kept} runs fit on the disk");
     fs::remove_file(&ballast).expect("there");
-    let end = folder.run(&format!("sweep {GRID} --out disk/s"));
+    let finished = folder.run(&format!("sweep {GRID} --out disk/s"));
     assert!(
-        end.is_success() && end.stderr.contains(&format!("{kept} finished runs found")),
-        "{end}"
+        finished.is_success() && finished.stderr.contains(&format!("{kept} finished runs found")),
+        "{finished}"
     );
     assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
 
@@ -486,9 +490,9 @@ fn a_full_disk_loses_no_finished_run() {
     fs::remove_file(path.join("s/results.parquet")).expect("there");
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
     assert!(full.is_err(), "the disk has more space than requested");
-    let end = folder.run(&format!("sweep {GRID} --out disk/s --quiet"));
+    let finished = folder.run(&format!("sweep {GRID} --out disk/s --quiet"));
     assert_refused(
-        &end,
+        &finished,
         1,
         &[
             "disk/s/results.parquet",
@@ -498,7 +502,10 @@ fn a_full_disk_loses_no_finished_run() {
         ],
     );
     fs::remove_file(ballast).expect("there");
-    let end = folder.run(&format!("sweep {GRID} --out disk/s --json"));
-    assert!(end.is_success() && end.stdout.contains("\"device_ttis\": 0"), "{end}");
+    let finished = folder.run(&format!("sweep {GRID} --out disk/s --json"));
+    assert!(
+        finished.is_success() && finished.stdout.contains("\"device_ttis\": 0"),
+        "{finished}"
+    );
     assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
 }

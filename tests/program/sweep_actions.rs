@@ -19,8 +19,8 @@ fn folder_with_scripts() -> TestFolder {
 
 /// Runs `sweep ARGS --out OUT` and returns the bytes of its CSV table.
 fn csv_table(folder: &TestFolder, args: &str, out: &str) -> Vec<u8> {
-    let end = folder.run(&format!("sweep {args} --format csv --quiet --out {out}"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("sweep {args} --format csv --quiet --out {out}"));
+    assert!(finished.is_success(), "{finished}");
     folder.bytes(&format!("{out}/results.csv"))
 }
 
@@ -99,18 +99,18 @@ fn a_sweep_with_another_script_is_not_resumed_or_reused() {
             .contains("\nactions of every run: from 0 every 100 fail 0-4 for 20 at random; 300 set\n")
     );
     for (actions, reused) in [("", 0), ("--actions other", 0), ("--actions script", 12)] {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "sweep {GRID} {actions} --reuse s --out reused{}",
             actions.len()
         ));
-        assert!(end.is_success(), "{end}");
+        assert!(finished.is_success(), "{finished}");
         let expected = if reused == 0 {
             None
         } else {
             Some(format!("{reused} runs taken over by --reuse"))
         };
-        let note = end.stderr.lines().find(|line| line.contains("taken over"));
-        assert_eq!(note, expected.as_deref(), "{actions}: {end}");
+        let note = finished.stderr.lines().find(|line| line.contains("taken over"));
+        assert_eq!(note, expected.as_deref(), "{actions}: {finished}");
     }
 }
 

@@ -15,9 +15,9 @@ const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 6
 
 /// Runs `reveille sweep ARGS --out OUT`. Returns the bytes of its table and the number of finished runs that it found.
 fn sweep_table(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
-    let end = folder.run(&format!("sweep {args} --out {out} --json"));
-    assert!(end.is_success(), "{end}");
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("sweep {args} --out {out} --json"));
+    assert!(finished.is_success(), "{finished}");
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let table = fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table");
     (table, report["found"].as_u64().expect("a number"))
 }
@@ -38,9 +38,9 @@ fn a_sweep_with_added_seeds_equals_a_fresh_sweep() {
 
 /// Runs `reveille sweep ARGS --json` without `--out`. Returns the numbers of runs and of runs found, and the folder.
 fn sweep_without_out(folder: &TestFolder, args: &str) -> (u64, u64, String) {
-    let end = folder.run(&format!("sweep {args} --json"));
-    assert!(end.is_success(), "{end}");
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("sweep {args} --json"));
+    assert!(finished.is_success(), "{finished}");
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let number = |name: &str| report[name].as_u64().expect("a number");
     let out = report["folder"].as_str().expect("a path").to_owned();
     (number("runs"), number("found"), out)
@@ -101,15 +101,15 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
     assert_refused(&folder.run("merge s1 s2 --out m.parquet"), 1, &parts);
     assert!(!folder.join("m.parquet").exists());
     for command in ["figures", "report"] {
-        let end = folder.run(&format!("{command} whole --out c"));
+        let finished = folder.run(&format!("{command} whole --out c"));
         assert_refused(
-            &end,
+            &finished,
             1,
-            &["whole: the folder holds no table with all runs of its sweep: its sweep is not finished"],
+            &["whole: holds no complete table: its sweep is not finished"],
         );
-        let end = folder.run(&format!("{command} runtime --out c"));
+        let finished = folder.run(&format!("{command} runtime --out c"));
         assert_refused(
-            &end,
+            &finished,
             1,
             &["runtime: the folder holds no table with all runs of its sweep: it is not the folder of a sweep"],
         );
@@ -177,9 +177,9 @@ fn a_full_disk_while_seeds_are_added_leaves_the_folder_unchanged() {
     let before: Vec<Vec<u8>> = contents().collect();
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
     assert!(full.is_err(), "the disk has more space than requested");
-    let end = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
+    let finished = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
     assert_refused(
-        &end,
+        &finished,
         1,
         &[
             "disk/s",
@@ -226,8 +226,8 @@ fn fewer_seeds_and_another_first_seed_are_refused() {
 fn a_cell_stops_at_the_wanted_precision() {
     let folder = TestFolder::new();
     let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
-    let end = folder.run(&format!("sweep {args} --json --out s"));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("sweep {args} --json --out s"));
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let cell = &report["cells"][0];
     let (mean, half_width) = (
         &cell["metrics"]["energy_per_device_tti"]["mean"],
@@ -243,8 +243,8 @@ fn a_cell_stops_at_the_wanted_precision() {
     // A sensing device can detect events in almost all of the area and has enough energy: no run has a misdetection.
     let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% \
         --set sensing.d_max=28 --set harvest.lambda=1 --ci-metrics misdetection_pct";
-    let end = folder.run(&format!("sweep {args} --json --out none"));
-    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    let finished = folder.run(&format!("sweep {args} --json --out none"));
+    let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
     let cell = &report["cells"][0];
     assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
     assert_eq!(
@@ -322,7 +322,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
         assert!(lines >= found, "finished runs were lost");
         found = lines;
     }
-    let (table, again) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "s");
-    assert_eq!(again as usize, found, "runs found in the journal");
+    let (table, found_at_end) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "s");
+    assert_eq!(found_at_end as usize, found, "runs found in the journal");
     assert!(table == expected);
 }

@@ -23,20 +23,20 @@ fn bytes(folder: &TestFolder, name: &str) -> Vec<u8> {
 /// Trains tables for 10 and 50 devices minimally into `good.json`, and returns their text.
 fn train_minimal_tables(folder: &TestFolder) -> String {
     let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
-    let end = folder.run(args);
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(args);
+    assert!(finished.is_success(), "{finished}");
     fs::read_to_string(folder.join("good.json")).expect("a table")
 }
 
 #[test]
 fn threads_and_kills_do_not_change_the_tables() {
     let folder = TestFolder::new();
-    let end = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
+    assert!(finished.is_success(), "{finished}");
     let expected = bytes(&folder, "one.json");
     assert!(expected.len() > 10_000);
-    let end = folder.run(&format!("{TRAINING} --threads 2 --out two.json"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("{TRAINING} --threads 2 --out two.json"));
+    assert!(finished.is_success(), "{finished}");
     assert!(bytes(&folder, "two.json") == expected, "2 threads");
 
     let mut kills = 0;
@@ -58,16 +58,17 @@ fn threads_and_kills_do_not_change_the_tables() {
     }
     assert!(kills >= 3, "only {kills} kills");
     if !folder.join("cut.json").exists() {
-        let end = folder.run(
+        let finished = folder.run(
             &TRAINING
                 .replace("--quiet ", "")
                 .replace("q-learning ", "q-learning --out cut.json "),
         );
-        assert!(end.is_success(), "{end}");
+        assert!(finished.is_success(), "{finished}");
         assert!(
-            end.stderr
+            finished
+                .stderr
                 .contains("resuming the training from the checkpoint cut.json.checkpoint: "),
-            "{end}"
+            "{finished}"
         );
     }
     assert!(bytes(&folder, "cut.json") == expected, "after kills");
@@ -82,8 +83,8 @@ fn an_existing_file_is_replaced_only_with_force() {
     assert_refused(&folder.run(args), 1, &["mine.json", "file exists", "--force"]);
     assert_eq!(bytes(&folder, "mine.json"), b"mine");
     assert_eq!(folder.list("."), ["mine.json", "runtime"]);
-    let end = folder.run(&format!("{args} --force"));
-    assert!(end.is_success(), "{end}");
+    let finished = folder.run(&format!("{args} --force"));
+    assert!(finished.is_success(), "{finished}");
     let ran = folder.run("run -n 6 -k 50 --policy q-learning --set policy.q-learning.table=mine.json --out r");
     assert!(ran.is_success(), "{ran}");
 }
@@ -98,9 +99,9 @@ fn an_interrupted_training_keeps_its_checkpoint() {
             (bytes(&folder, "t.json.checkpoint") != before).then_some(())
         });
         training.signal(signal);
-        let end = training.finish();
+        let finished = training.finish();
         assert_refused(
-            &end,
+            &finished,
             130,
             &[
                 "reveille: interrupted",
@@ -110,8 +111,9 @@ fn an_interrupted_training_keeps_its_checkpoint() {
         );
         assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
     }
-    let end = folder.run("run -n 20 -k 60 --policy q-learning --set policy.q-learning.table=t.json.checkpoint --out r");
-    assert_refused(&end, 1, &["t.json.checkpoint", "unfinished"]);
+    let finished =
+        folder.run("run -n 20 -k 60 --policy q-learning --set policy.q-learning.table=t.json.checkpoint --out r");
+    assert_refused(&finished, 1, &["t.json.checkpoint", "unfinished"]);
     // Before the end of the first episode there is nothing to save.
     let training = folder.start(&format!(
         "{} --out u.json",
@@ -147,21 +149,25 @@ fn the_checkpoint_of_another_training_is_refused() {
         ("--set events.alpha=0.3", "events.alpha"),
         ("--set bs.sync_interval=77", "another scenario"),
     ] {
-        let end = folder.run(&format!("{ENDLESS} --out t.json {other}"));
-        assert_refused(&end, 1, &["t.json.checkpoint", "of another training", why, "--out"]);
+        let finished = folder.run(&format!("{ENDLESS} --out t.json {other}"));
+        assert_refused(
+            &finished,
+            1,
+            &["t.json.checkpoint", "of another training", why, "--out"],
+        );
     }
-    let end = folder.run(&format!(
+    let finished = folder.run(&format!(
         "{} --out t.json",
         ENDLESS.replace("--devices 20", "--devices 20,21")
     ));
-    assert_refused(&end, 1, &["t.json.checkpoint", "numbers of devices"]);
+    assert_refused(&finished, 1, &["t.json.checkpoint", "numbers of devices"]);
     assert!(
         bytes(&folder, "t.json.checkpoint") == kept,
         "the checkpoint has changed"
     );
     fs::write(folder.join("t.json.checkpoint"), &kept[..kept.len() / 2]).expect("a test's folder");
-    let end = folder.run(&format!("{ENDLESS} --out t.json"));
-    assert_refused(&end, 1, &["t.json.checkpoint", "damaged"]);
+    let finished = folder.run(&format!("{ENDLESS} --out t.json"));
+    assert_refused(&finished, 1, &["t.json.checkpoint", "damaged"]);
 }
 
 /// Applies `change` to the body of a table file, and writes a matching checksum.
@@ -199,11 +205,11 @@ fn invalid_table_files_are_refused() {
             "run -n 20 -k 60 --policy q-learning --out run --force --set policy.q-learning.table={name}"
         ))
     };
-    let end = run_with_table("good.json");
-    assert!(end.is_success(), "{end}");
+    let finished = run_with_table("good.json");
+    assert!(finished.is_success(), "{finished}");
     folder.write("other-value.json", &with_first_value(&text, "20.5"));
-    let end = run_with_table("other-value.json");
-    assert!(end.is_success(), "another valid value: {end}");
+    let finished = run_with_table("other-value.json");
+    assert!(finished.is_success(), "another valid value: {finished}");
     fs::remove_dir_all(folder.join("run")).expect("the run");
 
     let train = "reveille train q-learning";
@@ -243,25 +249,25 @@ fn invalid_table_files_are_refused() {
     for (name, content, parts) in &cases {
         let name = format!("{name}.json");
         folder.write(&name, content);
-        let end = run_with_table(&name);
-        assert_refused(&end, 1, &["policy.q-learning.table", &name]);
-        assert_refused(&end, 1, parts);
+        let finished = run_with_table(&name);
+        assert_refused(&finished, 1, &["policy.q-learning.table", &name]);
+        assert_refused(&finished, 1, parts);
     }
     fs::write(folder.join("bytes.json"), [0xFF, 0xFE, 0, 1, 2]).expect("a test's folder");
-    let end = run_with_table("bytes.json");
+    let finished = run_with_table("bytes.json");
     assert_refused(
-        &end,
+        &finished,
         1,
         &["policy.q-learning.table", "bytes.json", "not a file of learned tables"],
     );
-    let end = run_with_table("nowhere.json");
+    let finished = run_with_table("nowhere.json");
     assert_refused(
-        &end,
+        &finished,
         1,
         &["policy.q-learning.table", "nowhere.json", "no such file", train],
     );
-    let end = run_with_table(".");
-    assert_refused(&end, 1, &["policy.q-learning.table", "cannot be read"]);
+    let finished = run_with_table(".");
+    assert_refused(&finished, 1, &["policy.q-learning.table", "cannot be read"]);
     assert!(!folder.join("run").exists(), "a refused run left a folder");
 }
 
@@ -271,39 +277,42 @@ fn a_table_for_other_densities_or_weights_is_refused() {
     train_minimal_tables(&folder);
     let base = "run -k 60 --policy q-learning --set policy.q-learning.table=good.json --out run";
     for n in [700, 101, 4] {
-        let end = folder.run(&format!("{base} -n {n}"));
+        let finished = folder.run(&format!("{base} -n {n}"));
         let hint = format!("reveille train q-learning --devices {n}");
         assert_refused(
-            &end,
+            &finished,
             1,
             &["policy.q-learning.table", "5 to 100 devices", &n.to_string(), &hint],
         );
     }
     for (name, value) in [("mu1", "3.5"), ("mu2", "4"), ("zeta", "0.5"), ("window", "3")] {
-        let end = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
+        let finished = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
         let field = format!("policy.q-learning.{name}");
-        assert_refused(&end, 1, &[&field, value, "reveille train q-learning"]);
+        assert_refused(&finished, 1, &[&field, value, "reveille train q-learning"]);
         let reasons = if name == "window" {
             ["which has tables for policy.q-learning.window = 1;", "--windows 3"]
         } else {
             ["its table was learned", "policy.q-learning.learn = true"]
         };
-        assert_refused(&end, 1, &reasons);
+        assert_refused(&finished, 1, &reasons);
         assert!(!folder.join("run").exists(), "a refused run left a folder");
         let out = format!("learns-{name}");
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=good.json --set {field}={value} \
              --set policy.q-learning.learn=true --out {out}"
         ));
-        assert!(end.is_success(), "a policy that learns may have other weights: {end}");
+        assert!(
+            finished.is_success(),
+            "a policy that learns may have other weights: {finished}"
+        );
         // The written tables name the tables that they started from.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
         let origin = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
             learned in 50 TTIs\"";
         assert!(learned.contains(origin), "{learned:.600}");
     }
-    let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
-    assert_refused(&end, 1, &["policy.q-learning.table", "learn = true"]);
+    let finished = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
+    assert_refused(&finished, 1, &["policy.q-learning.table", "learn = true"]);
 }
 
 #[test]
@@ -311,23 +320,23 @@ fn a_window_without_tables_lists_the_available_ones() {
     let folder = TestFolder::new();
     let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
     for window in [1, 2, 4] {
-        let end = run(&format!("--set policy.q-learning.window={window}"));
-        assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+        let finished = run(&format!("--set policy.q-learning.window={window}"));
+        assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
     }
     // Tables are not chosen by the duration of events, so there is no warning about it.
-    let end = run("--set events.duration=9");
-    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
+    let finished = run("--set events.duration=9");
+    assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
     // The operator should learn a fact that no base station can know: three of four events end before a device senses.
-    let end = run("--set policy.q-learning.window=4 --set events.duration=1");
-    assert!(end.is_success(), "{end}");
+    let finished = run("--set policy.q-learning.window=4 --set events.duration=1");
+    assert!(finished.is_success(), "{finished}");
     let warning = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
-    assert!(warning.iter().all(|part| end.stderr.contains(part)), "{end}");
-    let end = run("--set events.alpha=0.3");
-    assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");
-    let end = run("--set policy.q-learning.window=3");
+    assert!(warning.iter().all(|part| finished.stderr.contains(part)), "{finished}");
+    let finished = run("--set events.alpha=0.3");
+    assert!(finished.stderr.contains("events.alpha 0.2, here 0.3"), "{finished}");
+    let finished = run("--set policy.q-learning.window=3");
     let hint = "reveille train q-learning --windows 3";
     assert_refused(
-        &end,
+        &finished,
         1,
         &[
             "policy.q-learning.window = 3",
@@ -335,11 +344,11 @@ fn a_window_without_tables_lists_the_available_ones() {
             hint,
         ],
     );
-    let end = run("--set policy.q-learning.ages=true");
-    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
-    let end = run("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
+    let finished = run("--set policy.q-learning.ages=true");
+    assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
+    let finished = run("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
     assert_refused(
-        &end,
+        &finished,
         1,
         &["policy.q-learning.window = 2", "policy.q-learning.ages = true"],
     );
@@ -352,14 +361,14 @@ fn a_window_without_tables_lists_the_available_ones() {
             "tables for policy.q-learning.window = 2, policy.q-learning.window = 4;",
         ),
     ] {
-        let end = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
-        assert!(end.is_success(), "{end}");
-        let end = run(&format!(
+        let finished = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
+        assert!(finished.is_success(), "{finished}");
+        let finished = run(&format!(
             "--set policy.q-learning.table=one.json --set policy.q-learning.{set}"
         ));
         let (field, value) = set.split_once('=').expect("a field");
         assert_refused(
-            &end,
+            &finished,
             1,
             &[
                 &format!("policy.q-learning.{field} = {value}"),
@@ -372,28 +381,28 @@ fn a_window_without_tables_lists_the_available_ones() {
         "--windows 1,ages --out no.json",
         "--windows 2 --set policy.q-learning.ages=true --out no.json",
     ] {
-        let end = folder.run(&format!("{train} {args}"));
-        assert_refused(&end, 1, &["--windows", "ages"]);
+        let finished = folder.run(&format!("{train} {args}"));
+        assert_refused(&finished, 1, &["--windows", "ages"]);
     }
     // The weight of misdetections differs between ages and windows; with ages it is the value of the tables.
-    let end = folder.run(&format!("{train} --windows ages --out ages.json"));
+    let finished = folder.run(&format!("{train} --windows ages --out ages.json"));
     let learned = fs::read_to_string(folder.join("ages.json")).expect("tables");
-    assert!(end.is_success() && learned.contains("\"mu1\":1.0"), "{end}");
-    let end = run("--set policy.q-learning.ages=true --set policy.q-learning.mu1=14");
+    assert!(finished.is_success() && learned.contains("\"mu1\":1.0"), "{finished}");
+    let finished = run("--set policy.q-learning.ages=true --set policy.q-learning.mu1=14");
     assert_refused(
-        &end,
+        &finished,
         1,
         &["policy.q-learning.mu1 = 14", "must be 1", "--windows ages --set"],
     );
     // A warning if sensing is never worthwhile: with the literal settings a device alone gains less than by sleep.
-    let end = folder.run("run -s paper-literal -n 20 -k 200 --policy q-learning");
+    let finished = folder.run("run -s paper-literal -n 20 -k 200 --policy q-learning");
     assert!(
-        end.is_success() && end.stderr.contains("no device ever senses"),
-        "{end}"
+        finished.is_success() && finished.stderr.contains("no device ever senses"),
+        "{finished}"
     );
     for windows in ["0", "1001", "age"] {
-        let end = folder.run(&format!("{train} --windows 1,{windows} --out no.json"));
-        assert_refused(&end, 2, &[windows, "from 1 to 1000, or ages"]);
+        let finished = folder.run(&format!("{train} --windows 1,{windows} --out no.json"));
+        assert_refused(&finished, 2, &[windows, "from 1 to 1000, or ages"]);
     }
 }
 
@@ -404,15 +413,15 @@ fn an_unknown_ranking_or_knowledge_lists_the_available_ones() {
         ("bs.ranking", ["p42", "posterior"]),
         ("bs.battery_knowledge", ["oracle", "reported"]),
     ] {
-        let end = folder.run(&format!(
+        let finished = folder.run(&format!(
             "run -n 20 -k 60 --policy q-learning --set {field}=guess --out run"
         ));
-        assert_refused(&end, 1, &[field, "guess", available[0], available[1]]);
+        assert_refused(&finished, 1, &[field, "guess", available[0], available[1]]);
         for value in available {
-            let end = folder.run(&format!(
+            let finished = folder.run(&format!(
                 "run -n 20 -k 60 --policy q-learning --set {field}={value} --out {value}"
             ));
-            assert!(end.is_success(), "{end}");
+            assert!(finished.is_success(), "{finished}");
         }
     }
     assert!(!folder.join("run").exists(), "a refused run left a folder");

@@ -7,8 +7,8 @@ fn without_the_feature_the_error_names_the_build_command() {
     use reveille_tests::process::{TestFolder, assert_refused};
 
     let folder = TestFolder::new();
-    let end = folder.run("tune -n 100");
-    assert_refused(&end, 2, &["cargo run --release --features tune -- tune"]);
+    let finished = folder.run("tune -n 100");
+    assert_refused(&finished, 2, &["cargo run --release --features tune -- tune"]);
     let help = folder.run("--help");
     assert!(help.stdout.contains("  tune "), "{help}");
 }
@@ -38,14 +38,14 @@ mod with_the_feature {
     #[test]
     fn threads_and_kills_do_not_change_the_history() {
         let folder = TestFolder::new();
-        let end = folder.run(&format!("{TUNE} --out whole.csv --threads 1"));
-        assert!(end.is_success(), "{end}");
+        let finished = folder.run(&format!("{TUNE} --out whole.csv --threads 1"));
+        assert!(finished.is_success(), "{finished}");
         for part in [
             "best: μ1 = ",
             "reveille train q-learning --devices 12 ",
             "whole.svg, whole.png",
         ] {
-            assert!(end.stdout.contains(part), "no {part}: {end}");
+            assert!(finished.stdout.contains(part), "no {part}: {finished}");
         }
         // Three points of the design and two iterations.
         assert_eq!(point_count(&folder, "whole.csv"), 5);
@@ -58,20 +58,23 @@ mod with_the_feature {
                 (point_count(&folder, "killed.csv") > points_before.min(4)).then_some(())
             });
             tuning.signal(signal);
-            let end = tuning.finish();
+            let finished = tuning.finish();
             // On a fast machine the tuning may have ended before the signal.
-            assert!(end.code() == code || end.is_success(), "{end}");
+            assert!(finished.code() == code || finished.is_success(), "{finished}");
         }
-        let end = folder.run(&format!("{resumable} --json"));
-        assert!(end.is_success(), "{end}");
-        assert!(end.stderr.contains("finished points found in killed.csv"), "{end}");
+        let finished = folder.run(&format!("{resumable} --json"));
+        assert!(finished.is_success(), "{finished}");
+        assert!(
+            finished.stderr.contains("finished points found in killed.csv"),
+            "{finished}"
+        );
         for ending in ["csv", "svg", "png"] {
             let bytes = |name: &str| fs::read(folder.join(&format!("{name}.{ending}"))).expect("written");
             let (whole, killed) = (bytes("whole"), bytes("killed"));
             // The picture contains its file name.
             assert!(ending == "svg" || whole == killed, "the {ending} file differs");
         }
-        let json: Value = serde_json::from_str(&end.stdout).expect("JSON");
+        let json: Value = serde_json::from_str(&finished.stdout).expect("JSON");
         assert_eq!(json["points"].as_array().map(Vec::len), Some(5));
         let objective = |value: &Value| value["objective"].as_f64().expect("a number");
         let objectives = json["points"].as_array().expect("points").iter().map(objective);
@@ -82,8 +85,12 @@ mod with_the_feature {
             &["another tuning", "seed"],
         );
         fs::remove_file(folder.join("whole.png")).expect("ours");
-        let end = folder.run("tune --picture-only whole.csv --format png");
-        assert_eq!((end.code(), end.stdout.trim()), (Some(0), "whole.png"), "{end}");
+        let finished = folder.run("tune --picture-only whole.csv --format png");
+        assert_eq!(
+            (finished.code(), finished.stdout.trim()),
+            (Some(0), "whole.png"),
+            "{finished}"
+        );
     }
 
     #[test]
@@ -107,10 +114,10 @@ mod with_the_feature {
             ("--picture-only foreign.csv", 1, "is not a history of a tuning"),
             ("--picture-only nowhere.csv", 1, "nowhere.csv: no such file"),
         ] {
-            let end = folder.run(&format!("tune {args}"));
-            assert_eq!(end.code(), Some(code), "{args}: {end}");
-            assert!(end.stderr.contains(part), "{args}: no {part:?}: {end}");
-            assert!(!end.stderr.contains("panicked"), "{args}: {end}");
+            let finished = folder.run(&format!("tune {args}"));
+            assert_eq!(finished.code(), Some(code), "{args}: {finished}");
+            assert!(finished.stderr.contains(part), "{args}: no {part:?}: {finished}");
+            assert!(!finished.stderr.contains("panicked"), "{args}: {finished}");
         }
         assert_eq!(text(&folder, "foreign.csv"), "a,b\n1,2\n");
     }

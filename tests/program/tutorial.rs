@@ -172,12 +172,12 @@ impl Terminal {
             .env("PYTHONPATH", self.folder.join("stand-in"))
             .env("TUTORIAL_PORT", port.to_string())
             .env_remove("RUST_LOG");
-        let end = Process::start(&mut shell).finish();
-        assert!(end.is_success(), "{line}: {end}");
+        let finished = Process::start(&mut shell).finish();
+        assert!(finished.is_success(), "{line}: {finished}");
         if let Some(policy) = policy {
             policy.join().expect("the policy decides");
         }
-        end.stderr + &end.stdout
+        finished.stderr + &finished.stdout
     }
 }
 
@@ -192,7 +192,7 @@ fn every_command_of_the_tutorial_works_as_shown() {
     let not_run: Vec<&str> = not_run.flat_map(|block| block.text.lines()).collect();
     assert_eq!(not_run, NOT_RUN, "commands that this test leaves out");
     let python_version = Command::new("python3").arg("--version").output();
-    if !python_version.is_ok_and(|end| end.status.success()) {
+    if !python_version.is_ok_and(|output| output.status.success()) {
         return skip_except_in_ci("the tutorial is not run: there is no python3 here");
     }
 
@@ -203,8 +203,10 @@ fn every_command_of_the_tutorial_works_as_shown() {
         match *language {
             "sh" => {
                 let output: String = text.lines().map(|line| terminal.run(line)).collect();
-                let shown = blocks.next_if(|next| next.language == "text");
-                let shown = shown.unwrap_or_else(|| panic!("no output is shown after {text}")).text;
+                let output_block = blocks.next_if(|next| next.language == "text");
+                let shown = output_block
+                    .unwrap_or_else(|| panic!("no output is shown after {text}"))
+                    .text;
                 check_shown_lines(text, shown, &output);
                 commands += text.lines().count();
                 digests += shown.matches("digest ").count();

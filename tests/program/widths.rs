@@ -3,11 +3,11 @@
 use reveille_tests::process::{FinishedProcess, TestFolder};
 
 /// Checks that the command succeeded and that no line of its text is wider than 80 columns. A path may be longer.
-fn assert_narrow(end: &FinishedProcess) {
-    assert!(end.is_success(), "{end}");
+fn assert_narrow(finished: &FinishedProcess) {
+    assert!(finished.is_success(), "{finished}");
     let is_narrow = |line: &str| line.chars().count() <= 80 || !line.trim().contains(' ');
-    let wide: Vec<&str> = end.stdout.lines().filter(|line| !is_narrow(line)).collect();
-    assert!(wide.is_empty(), "{wide:?}: {end}");
+    let wide: Vec<&str> = finished.stdout.lines().filter(|line| !is_narrow(line)).collect();
+    assert!(wide.is_empty(), "{wide:?}: {finished}");
 }
 
 #[test]
@@ -19,11 +19,14 @@ fn a_sweep_over_several_fields_has_narrow_tables() {
         "--grid harvest.lambda=0.05,0.1 --grid sensing.d_max=4,5",
         "--grid policy.age-index.price=0.3,0.4 --grid events.duration_kind=fixed,geometric --grid sensing.d_max=4,5",
     ] {
-        let end = folder.run(&format!("{sweep}{} {grid}", grid.len()));
-        assert_narrow(&end);
-        assert!(end.stdout.starts_with("preset paper · 3 runs per row\n"), "{end}");
+        let finished = folder.run(&format!("{sweep}{} {grid}", grid.len()));
+        assert_narrow(&finished);
+        assert!(
+            finished.stdout.starts_with("preset paper · 3 runs per row\n"),
+            "{finished}"
+        );
         for heading in ["info (P1)", "battery", "missed %"] {
-            assert_eq!(end.stdout.matches(heading).count(), 1, "{heading}: {end}");
+            assert_eq!(finished.stdout.matches(heading).count(), 1, "{heading}: {finished}");
         }
         let again = folder.run(&format!("{sweep}{} {grid}", grid.len()));
         assert_narrow(&again);
@@ -37,9 +40,9 @@ fn checks_and_message_counts_are_narrow() {
     let path = "a-folder-with-a-name/that-is-long/and-another-one-in-it/with-a-scenario/that-is-long-too";
     std::fs::create_dir_all(folder.join(path)).expect("new");
     folder.write(&format!("{path}/scenario.toml"), "preset = \"quick\"\n");
-    let end = folder.run(&format!("scenario check {path}/scenario.toml quick"));
-    assert_narrow(&end);
-    assert!(end.stdout.contains("scenario.toml:\nok. 20 devices"), "{end}");
+    let finished = folder.run(&format!("scenario check {path}/scenario.toml quick"));
+    assert_narrow(&finished);
+    assert!(finished.stdout.contains("scenario.toml:\nok. 20 devices"), "{finished}");
     let recorded = folder.run("up -n 60 -k 1200 -p age-index -P 2 --record r.mcap --quiet --out r");
     assert!(recorded.is_success(), "{recorded}");
     assert_narrow(&folder.run("inspect stats r.mcap --devices"));

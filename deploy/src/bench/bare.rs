@@ -35,7 +35,7 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
         let alive = bus.declare_alive(bus.key_exprs().bs_liveliness())?;
         let children = start_hosts("zenoh", bus.endpoint(), hosts, sizes)?;
         let grant = vec![0; sizes.grant];
-        // A host shows its token after it has subscribed: once all tokens are seen, no grant is lost.
+        // A host declares its liveliness token after it has subscribed: once all are seen, no grant is lost.
         let started = now();
         while bus.count_alive_hosts().await? < hosts {
             anyhow::ensure!(
@@ -44,7 +44,7 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
             );
         }
         let rate = measure_rate(seconds, || barrier.round(&grant, hosts as usize))?;
-        // The hosts watch this token and leave when it disappears.
+        // The hosts watch this liveliness token and leave when it disappears.
         drop(alive);
         children.wait();
         Ok(rate)

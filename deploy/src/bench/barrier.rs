@@ -78,7 +78,7 @@ pub(super) async fn host(bus: &Bus, number: u32, answer_size: usize) -> Result<(
         host: HostId(number),
         token: Secret::new([0; 16]),
     };
-    // The token comes last: the base station sends the first grant as soon as it sees the tokens of all hosts.
+    // Liveliness comes last: the base station sends the first grant as soon as it sees all hosts alive.
     let _here = bus.declare_alive(bus.key_exprs().host_liveliness(credential))?;
     let bs_ended = Arc::new(tokio::sync::Notify::new());
     let end_notifier = Arc::clone(&bs_ended);

@@ -124,6 +124,7 @@ fn measure(processes: u32, devices: u32, sizes: QuietTtiSizes, seconds: f64) -> 
     let run_emulator = |ttis: u64, extra: &[&str]| {
         let numbers = [devices.to_string(), ttis.to_string(), processes.to_string()];
         let [devices, ttis, processes] = &numbers;
+        // Without --scenario and --policy: the heading of the table names their defaults.
         let common = ["up", "--devices", devices, "--ttis", ttis, "--processes", processes];
         run_for_summary(&[&common, extra].concat())
     };

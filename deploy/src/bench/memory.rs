@@ -14,7 +14,8 @@ use crate::runtime::{median, now};
 
 /// Repetitions of each measurement.
 const REPETITIONS: usize = 3;
-/// Device count at which `--keep-density` keeps the preset's area, as its help states, and the area's side in metres.
+/// Device count at which `--keep-density` keeps the preset's area, as its help states, and its side in metres
+/// (the defaults of `area.width` and `area.height`).
 const REFERENCE_DEVICES: f64 = 250.0;
 const PRESET_SIDE_M: f64 = 20.0;
 

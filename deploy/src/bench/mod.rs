@@ -29,7 +29,7 @@ pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
             number,
             parent,
         } => {
-            // A host that connects while its parent ends never sees the parent's token, and would wait for ever.
+            // A host that connects while its parent ends never sees the parent's liveliness, and would wait for ever.
             child_process::exit_with_parent(*parent, Signal::KILL)?;
             bare::host(kind, at, *sizes, *number)
         }

@@ -10,7 +10,8 @@ use crate::cli::ScaleBenchArgs;
 use crate::display;
 use crate::runtime::median;
 
-/// Device count at which `--keep-density` keeps the preset's area, as its help states, and the area's side in metres.
+/// Device count at which `--keep-density` keeps the preset's area, as its help states, and its side in metres
+/// (the defaults of `area.width` and `area.height`).
 const REFERENCE_DEVICES: f64 = 50.0;
 const PRESET_SIDE_M: f64 = 20.0;
 const NANOS_PER_SECOND: f64 = 1e9;

@@ -1,4 +1,5 @@
-//! The examples at the end of each command's help. Tests here check that each help has two examples that parse.
+//! The examples at the end of each command's help. Tests here check each help (its first sentence, two examples that
+//! parse) and the refusals of number options, whose types `is_number` lists.
 
 /// Returns the last part of a command's help: two commands that work as they are written.
 macro_rules! examples {

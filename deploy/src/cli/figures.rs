@@ -156,7 +156,7 @@ pub(crate) struct SweepFigureArgs {
     pub by: String,
     /// Only runs with this value of a field. May be repeated.
     #[arg(long = "where", value_name = "FIELD=VALUE", value_parser = parse_field)]
-    pub only: Vec<(String, String)>,
+    pub filter: Vec<(String, String)>,
     /// Logarithmic axes, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "AXIS", value_parser = trimmed(EnumValueParser::<AxisArg>::new()))]
     pub log: Vec<AxisArg>,

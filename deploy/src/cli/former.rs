@@ -83,6 +83,7 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
             ));
         }
     }
+    // Last, since it moves the words of the command, which the loops above look for.
     for (former, current, options) in RENAMED_COMMANDS {
         let words = command_words(&args, former);
         if let [before @ .., last] = &words[..] {

@@ -117,7 +117,7 @@ fn hint(program: &Command, words: &[String], given: &str) -> Option<String> {
     };
     let quoted: Vec<String> = owners.iter().map(|(words, _)| format!("`{words}`")).collect();
     let owners = match &quoted[..] {
-        [rest @ .., last] if !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
+        [before @ .., last] if !before.is_empty() => format!("{} and {last}", before.join(", ")),
         _ => quoted.concat(),
     };
     let applies = |options: &[&str]| options.is_empty() || options.contains(&&**long);

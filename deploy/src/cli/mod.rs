@@ -1,6 +1,7 @@
 //! The command line: commands, options and help, declared with clap, one file per group of commands. The modules of
 //! `commands` execute them. Names of options and values are a public interface: a renamed one needs an entry in
-//! `former`. Tests check that every help has two valid examples (`examples`).
+//! `former`, a new command one in `groups`, and a global option with a value one in `former::command_words`. Tests
+//! check that every help has two valid examples (`examples`).
 
 mod analyse;
 mod compare;

@@ -20,8 +20,8 @@ const DURATION_HELP: &str = "a time from 1us to 1000000s in us, ms, s, m, h and 
 
 /// Help for an option that names a policy.
 pub(super) fn policy_help() -> String {
-    let each = registry::POLICIES.iter().map(|policy| policy.name);
-    format!("Policy: {}.", each.collect::<Vec<_>>().join(", "))
+    let names = registry::POLICIES.iter().map(|policy| policy.name);
+    format!("Policy: {}.", names.collect::<Vec<_>>().join(", "))
 }
 
 /// Help for the policy option of a run, which also accepts a policy process or a replay.
@@ -35,10 +35,10 @@ pub(super) fn run_policy_help() -> String {
 
 /// Help for an option that names several policies.
 pub(super) fn policies_help() -> String {
-    let each = registry::POLICIES.iter().map(|policy| policy.name);
+    let names = registry::POLICIES.iter().map(|policy| policy.name);
     format!(
         "Policies, separated by commas: {} [default: the scenario's].",
-        each.collect::<Vec<_>>().join(", ")
+        names.collect::<Vec<_>>().join(", ")
     )
 }
 
@@ -115,8 +115,8 @@ pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
 /// Returns the parser of options that take names of device states.
 pub(super) fn state_parser() -> impl TypedValueParser<Value = StateName> {
     PossibleValuesParser::new(StateName::ALL.map(|(name, _)| name)).try_map(|name| {
-        let named = StateName::ALL.into_iter().find(|(known, _)| *known == name);
-        named.map(|(_, state)| state).ok_or("no state")
+        let found = StateName::ALL.into_iter().find(|(known, _)| *known == name);
+        found.map(|(_, state)| state).ok_or("no state")
     })
 }
 

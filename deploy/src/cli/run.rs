@@ -1,6 +1,7 @@
 //! Options of the commands that run a scenario. `docs/command-line.md` must list every visible option of `up`, `run`,
-//! `bs` and `device`; `cli/tests/option_table.rs` checks this. `child_process` and `policy_process` write the hidden
-//! ones.
+//! `bs` and `device`; `cli/tests/option_table.rs` checks this. `child_process`, `policy_process` and `bench` write
+//! the hidden ones. `cli/inspect.rs` repeats the address of `--dashboard`; the help of `ExternalPolicyArgs` repeats
+//! constants of `bs/src/server/policy_port/mod.rs`.
 
 use std::path::PathBuf;
 use std::time::Duration;

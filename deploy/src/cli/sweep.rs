@@ -11,7 +11,7 @@ use reveille_lab::table::Format;
 
 use super::parse::{metric_parser, policies_help, trimmed, whole};
 
-/// Largest number of seeds of a cell.
+/// Largest number of seeds of a cell, as in `lab/src/sweep/experiment.rs`.
 const MAX_SEEDS: u64 = 10_000_000;
 
 /// Arguments of `reveille sweep`.

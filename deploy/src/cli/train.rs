@@ -203,10 +203,10 @@ impl DtArgs {
 
     /// Returns the learning objective.
     pub(crate) fn objective(&self) -> ModelObjective {
-        let named = |objective: &ModelObjective| objective.name() == self.objective;
+        let is_requested = |objective: &ModelObjective| objective.name() == self.objective;
         ModelObjective::ALL
             .into_iter()
-            .find(named)
+            .find(is_requested)
             .unwrap_or(ModelObjective::Events)
     }
 }
@@ -299,14 +299,14 @@ impl EpisodeArgs {
 
     /// Returns the options of scenario `name` with the overrides in `set`, for a learner without tables.
     pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> anyhow::Result<ScenarioArgs> {
-        for set in set {
-            let field = set.split('=').next().unwrap_or_default().trim();
+        for setting in set {
+            let field = setting.split('=').next().unwrap_or_default().trim();
             if let Some((_, reason)) = FIXED_FIELDS.iter().find(|(fixed, _)| *fixed == field) {
-                bail!("--set {set}: {reason}");
+                bail!("--set {setting}: {reason}");
             }
         }
         let fixed_settings = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
-        let fixed_settings = fixed_settings.map(|set| format!("policy.{set}"));
+        let fixed_settings = fixed_settings.map(|setting| format!("policy.{setting}"));
         Ok(ScenarioArgs {
             scenario: name.to_owned(),
             set: fixed_settings.into_iter().chain(set.iter().cloned()).collect(),

@@ -1,4 +1,4 @@
-//! Options of `reveille tune`. One that affects the training of tables also belongs into `training_command` of
+//! Options of `reveille tune`. One that affects the training of tables also belongs in `training_command` of
 //! `commands/tune.rs`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;

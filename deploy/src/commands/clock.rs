@@ -35,7 +35,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let end_notifier = Arc::clone(&ended);
     let _watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
         if !alive {
-            // `notify_one` keeps a permit: the token can disappear before anything waits for it.
+            // `notify_one` keeps a permit: the liveliness token can disappear before anything waits for it.
             end_notifier.notify_one();
         }
     })?;

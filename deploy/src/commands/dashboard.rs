@@ -36,9 +36,9 @@ fn feed_from_recording(
     compared: Option<ComparedRun>,
     mut on_frame: impl FnMut(&Frame),
 ) -> anyhow::Result<Arc<Feed>> {
-    let named = || path.display().to_string();
+    let path_text = || path.display().to_string();
     let mut recording = open(path)?;
-    let scenario = recording.bundle().load().with_context(named)?;
+    let scenario = recording.bundle().load().with_context(path_text)?;
     let feed = Feed::new(
         recording.run(),
         &scenario,
@@ -57,7 +57,7 @@ fn feed_from_recording(
         }
     };
     if let Some(error) = read_error {
-        let why = format!("{}: {error}; the messages before this point are shown", named());
+        let why = format!("{}: {error}; the messages before this point are shown", path_text());
         note!("{why}");
         feed.mark_broken(why);
     }
@@ -68,10 +68,10 @@ fn feed_from_recording(
 /// Reads the optional recording at `path` to compare with. Also returns its scenario file.
 fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, String)>> {
     let Some(path) = path else { return Ok(None) };
-    let named = || format!("--compare {}", path.display());
-    let scenario = open(path).with_context(named)?.bundle().text.clone();
+    let option = || format!("--compare {}", path.display());
+    let scenario = open(path).with_context(option)?.bundle().text.clone();
     let mut comparison = RunComparison::default();
-    let feed = feed_from_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(named)?;
+    let feed = feed_from_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(option)?;
     // A recording that was cut short cannot be compared beyond its end.
     if feed.is_whole() {
         comparison.end(RunSide::Other);

@@ -13,11 +13,11 @@ use crate::cli::GridArgs;
 
 /// Loads the optional experiment `file` and applies the options.
 pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::Result<Experiment> {
-    let file = match file {
+    let defaults = match file {
         Some(path) => ExperimentBuilder::load(path)?,
         None => ExperimentBuilder::default(),
     };
-    let experiment = builder_from_options(args)?.with_defaults_from(file).build()?;
+    let experiment = builder_from_options(args)?.with_defaults_from(defaults).build()?;
     check_policies(&experiment)?;
     Ok(experiment)
 }
@@ -26,8 +26,11 @@ pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::
 fn check_policies(experiment: &Experiment) -> anyhow::Result<()> {
     let axes = experiment.axes.iter();
     let swept = axes.flat_map(|axis| axis.values.iter().map(|value| (&axis.path, value, &axis.origin)));
-    let set = experiment.set.iter().map(|(path, value, origin)| (path, value, origin));
-    for (_, value, origin) in swept.chain(set).filter(|(path, ..)| *path == "policy.name") {
+    let set = experiment
+        .set
+        .iter()
+        .map(|(field, value, origin)| (field, value, origin));
+    for (_, value, origin) in swept.chain(set).filter(|(field, ..)| *field == "policy.name") {
         let name = value.as_str().unwrap_or_default();
         if name == outside::EXTERNAL_NAME {
             bail!(
@@ -53,18 +56,18 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
         min_seeds: args.min_seeds,
         ..ExperimentBuilder::default()
     };
-    for (flag, path, values) in [
+    for (flag, field, values) in [
         ("--policies", "policy.name", &args.policies),
         ("--devices", "devices", &args.devices),
         ("--ttis", "ttis", &args.ttis),
     ] {
         if let Some(values) = values {
             let texts = values.iter().filter(|text| !text.trim().is_empty());
-            builder.add_axis(flag, path, texts.map(|text| parse_value(text)).collect())?;
+            builder.add_axis(flag, field, texts.map(|text| parse_value(text)).collect())?;
         }
     }
     for text in &args.grid {
-        let Some((path, values)) = text.split_once('=') else {
+        let Some((field, values)) = text.split_once('=') else {
             bail!("--grid {text}: must be FIELD=VALUE,VALUE…, such as harvest.lambda=0.05,0.1");
         };
         let values = if values.trim_start().starts_with('[') {
@@ -73,16 +76,16 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             let parts = values.split(',').map(str::trim).filter(|part| !part.is_empty());
             parts.map(parse_value).collect()
         };
-        let path = path.trim();
-        builder.add_axis(&format!("--grid {path}"), path, values)?;
+        let field = field.trim();
+        builder.add_axis(&format!("--grid {field}"), field, values)?;
     }
     for text in &args.set {
-        let Some((path, value)) = text.split_once('=') else {
+        let Some((field, value)) = text.split_once('=') else {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
         let option = format!("--set {}", text.trim());
-        let path = builder.rename(path.trim(), &option);
-        builder.set.insert(path, (parse_value(value), option));
+        let field = builder.rename(field.trim(), &option);
+        builder.set.insert(field, (parse_value(value), option));
     }
     Ok(builder)
 }

@@ -386,12 +386,12 @@ fn with_suggestion(error: FigureError) -> anyhow::Error {
 /// Draws a metric against a field, with a picture for each combination of the other fields.
 fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
-    let only = args.only.iter();
+    let filter = args.filter.iter();
     let spec = SweepFigureSpec {
         x_field: canonical_field(&args.x),
         metric: args.y.clone(),
         line_field: canonical_field(&args.by),
-        filter: only
+        filter: filter
             .map(|(field, value)| (canonical_field(field), value.clone()))
             .collect(),
         is_log_x: args.log.contains(&AxisArg::X),

@@ -98,7 +98,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         removal_count: 0,
     };
     let mut observers = (&mut run_observers, &mut mark_writer);
-    let may_continue = advance(&mut run, Tti(scenario.run.ttis), &mut observers, |_| {
+    let has_reached_end = advance(&mut run, Tti(scenario.run.ttis), &mut observers, |_| {
         !signals.has_arrived()
     });
     if let Some(tti) = run.missing_decision() {
@@ -111,7 +111,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         return Err(error);
     }
     let unused_decisions = run.input_queue().decision_count();
-    let outcome = if may_continue {
+    let outcome = if has_reached_end {
         run.finish(&mut (&mut run_observers, &mut mark_writer))
     } else {
         run.partial_outcome()
@@ -200,7 +200,8 @@ fn prepare_on_thread(scenario: &Scenario, options: RunOptions, signals: &Signals
     Ok(run)
 }
 
-/// Runs to TTI `to`, as [`Run::advance`] does. Regularly asks `may_continue` whether to continue with the next TTI.
+/// Runs to TTI `to`, as [`Run::advance`] does, and returns whether it got there. Regularly asks `may_continue` whether
+/// to continue with the next TTI.
 pub(crate) fn advance(
     run: &mut Run,
     to: Tti,

@@ -162,6 +162,7 @@ fn best_point(history: &History) -> anyhow::Result<&TuningPoint> {
 /// The command line that trains tables with the best weights, with the settings of this tuning.
 fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     let mut text = format!("reveille train q-learning --devices {}", args.devices);
+    // The default of `train q-learning`.
     if args.scenario != "paper" {
         let _ = write!(text, " --scenario {}", args.scenario);
     }
@@ -173,6 +174,7 @@ fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     for set in args.set.iter().filter(|set| !is_weight(set)) {
         let _ = write!(text, " --set {set}");
     }
+    // `EpisodeArgs::training` has checked that `epsilon` holds two shares.
     let training_args = &args.episodes;
     let _ = write!(
         text,

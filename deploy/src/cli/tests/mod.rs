@@ -48,8 +48,8 @@ fn commands(command: &Command) -> Vec<Command> {
 
 /// Returns a valid value of an option that takes a list.
 fn sample(arg: &Arg) -> String {
-    let defaults = arg.get_default_values().first().and_then(|value| value.to_str());
-    let default = defaults.and_then(|text| text.split(',').next()).map(str::to_owned);
+    let default_list = arg.get_default_values().first().and_then(|value| value.to_str());
+    let default = default_list.and_then(|text| text.split(',').next()).map(str::to_owned);
     let possible = || {
         arg.get_possible_values()
             .first()
@@ -60,21 +60,21 @@ fn sample(arg: &Arg) -> String {
 
 #[test]
 fn the_items_of_a_list_may_have_spaces_around_them() {
-    let mut seen = 0;
+    let mut option_count = 0;
     for command in commands(&Cli::command()) {
         for arg in command
             .get_arguments()
             .filter(|arg| arg.get_value_delimiter() == Some(','))
         {
-            seen += 1;
+            option_count += 1;
             let (id, value) = (arg.get_id().as_str(), sample(arg));
             // The epsilon of a training has exactly two values.
             let line = format!("--{}={value}, {value}", arg.get_long().expect("an option"));
-            let lenient = command
+            let without_required = command
                 .clone()
                 .mut_args(|arg| arg.required(false))
                 .subcommand_required(false);
-            let matches = lenient.try_get_matches_from([command.get_name(), &line]);
+            let matches = without_required.try_get_matches_from([command.get_name(), &line]);
             let matches = matches.unwrap_or_else(|error| panic!("{} {line}: {error}", command.get_name()));
             if let Ok(Some(mut items)) = matches.try_get_many::<String>(id) {
                 assert!(
@@ -85,5 +85,5 @@ fn the_items_of_a_list_may_have_spaces_around_them() {
             }
         }
     }
-    assert!(seen > 15, "only {seen} options take a list");
+    assert!(option_count > 15, "only {option_count} options take a list");
 }

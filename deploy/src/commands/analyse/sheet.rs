@@ -93,7 +93,7 @@ pub(super) struct Sheet {
     pub title: String,
     /// Its columns: keys in JSON and headers elsewhere, which programs of users read.
     pub columns: &'static [&'static str],
-    /// Its rows, each as long as `columns`.
+    /// Its rows, each with one value per column, in the order of `columns`.
     pub rows: Vec<Vec<SheetValue>>,
 }
 

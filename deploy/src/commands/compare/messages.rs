@@ -32,6 +32,7 @@ pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile, numbe
     }
 }
 
+/// Formats a difference, followed by a line break and the indentation of the next difference.
 fn format_difference(difference: &FirstDifference, number: usize, is_first: bool) -> String {
     let FirstDifference { tti, kind, .. } = difference;
     let label = if is_first { "first difference" } else { "then" };
@@ -43,10 +44,10 @@ fn format_difference(difference: &FirstDifference, number: usize, is_first: bool
         .collect();
     let of_devices = match devices.len() {
         0 => String::new(),
-        more if more > MAX_NAMED_DEVICES => format!(
+        count if count > MAX_NAMED_DEVICES => format!(
             ", of devices {} and {} more",
             named.join(", "),
-            more - MAX_NAMED_DEVICES
+            count - MAX_NAMED_DEVICES
         ),
         _ => format!(", of devices {}", named.join(", ")),
     };

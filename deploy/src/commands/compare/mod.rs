@@ -151,8 +151,8 @@ fn text_report(
     }
     let (first, others) = runs.split_first().expect("at least two runs");
     for (block, columns) in others.chunks(MAX_COLUMNS - 1).enumerate() {
-        let start = block * (MAX_COLUMNS - 1);
-        text += &format_metrics(args.all_metrics, first, (start + 2, columns));
+        let shown_others = block * (MAX_COLUMNS - 1);
+        text += &format_metrics(args.all_metrics, first, (shown_others + 2, columns));
     }
     if runs
         .iter()
@@ -181,11 +181,11 @@ fn format_metrics(all: bool, first: &ComparedRun, (number, others): (usize, &[Co
         text += &cell(&format!("run {number}"));
     }
     text.push('\n');
-    let rest = Metrics::ALL
+    let further_metrics = Metrics::ALL
         .iter()
         .map(|metric| metric.name)
         .filter(|name| all && !MAIN_METRICS.contains(name));
-    for name in MAIN_METRICS.into_iter().chain(rest) {
+    for name in MAIN_METRICS.into_iter().chain(further_metrics) {
         let (mut values, mut changes) = (cell(&value_cell(first, name)), String::new());
         for other in others {
             values += &cell(&value_cell(other, name));

@@ -30,7 +30,7 @@ fn format_signed(x: f64, decimals: usize) -> String {
     text[usize::from(is_zero)..].to_owned()
 }
 
-/// Formats the differences by one metric.
+/// Formats the differences by one metric; `rows` is not empty.
 fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
     let metric = rows[0].metric;
     let unit = Metrics::find(metric).map_or("", |metric| metric.unit);

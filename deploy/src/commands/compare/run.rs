@@ -13,7 +13,7 @@ use crate::commands::inspect::source::{RecordingFile, open};
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
-/// Number of parts of a run whose means give a half-width.
+/// Number of parts of a run whose means give a half-width; the text of `compare` names it.
 const PARTS: usize = 10;
 /// Most columns that a difference names.
 const MAX_NAMED_COLUMNS: usize = 3;
@@ -35,7 +35,7 @@ pub(super) struct ComparedRun {
     windows: Vec<Window>,
 }
 
-/// The sums of a window of measured TTIs.
+/// A window of measured TTIs: sums over its events, and means over devices and TTIs (from `energy` on).
 #[derive(Clone, Copy, Debug, Default)]
 struct Window {
     ttis: f64,
@@ -167,11 +167,11 @@ impl ComparedRun {
     pub(super) fn compare(&self, other: &Self, number: usize) -> anyhow::Result<Difference> {
         let has_equal_digest = self.digest().is_some() && self.digest() == other.digest();
         match (&self.source, &other.source) {
-            (Source::Recording(this), Source::Recording(others)) => {
-                let mut recordings = (open(this)?, open(others)?);
+            (Source::Recording(own_path), Source::Recording(other_path)) => {
+                let mut recordings = (open(own_path)?, open(other_path)?);
                 let difference = messages::compare(&mut recordings.0, &mut recordings.1, number);
                 let torn = difference.torn.map(|(side, error)| {
-                    let path = if side == RunSide::This { this } else { others };
+                    let path = if side == RunSide::This { own_path } else { other_path };
                     format!(
                         "{}: {error}; the recordings were compared up to this point",
                         path.display()
@@ -190,14 +190,14 @@ impl ComparedRun {
                 text: "equal digests: the runs are identical".to_owned(),
                 torn: None,
             }),
-            (Source::Folder(this), Source::Folder(others)) => {
-                let tables = (this.table(EVENTS_FILE)?, others.table(EVENTS_FILE)?);
-                let (Some(this), Some(others)) = tables else {
+            (Source::Folder(own_reader), Source::Folder(other_reader)) => {
+                let tables = (own_reader.table(EVENTS_FILE)?, other_reader.table(EVENTS_FILE)?);
+                let (Some(own_events), Some(other_events)) = tables else {
                     bail!("{}, {}: no {EVENTS_FILE}; repeat the run", self.name(), other.name());
                 };
                 Ok(Difference {
                     is_equal: false,
-                    text: first_event_difference(&this, &others, number)?,
+                    text: first_event_difference(&own_events, &other_events, number)?,
                     torn: None,
                 })
             }
@@ -264,9 +264,9 @@ fn read_windows(reader: &RunReader) -> anyhow::Result<Vec<Window>> {
 /// Describes the first row in which the tables of events of run 1 and run `number` differ.
 fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> anyhow::Result<String> {
     const RECORD: &str = "folders show events only; record both runs with --record to compare all messages";
-    let (mut these, mut others) = (this.rows(), other.rows());
+    let (mut own_rows, mut other_rows) = (this.rows(), other.rows());
     loop {
-        let (row, counterpart) = match (these.next(), others.next()) {
+        let (row, counterpart) = match (own_rows.next(), other_rows.next()) {
             (Some(row), Some(counterpart)) => (row, counterpart),
             (Some(row), None) => return Ok(format!("{} is only in run 1; {RECORD}", event_label(&row)?)),
             (None, Some(row)) => return Ok(format!("{} is only in run {number}; {RECORD}", event_label(&row)?)),
@@ -275,9 +275,15 @@ fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> a
         // The warm-up is a share of the run, so the same event can be counted in one run only.
         let columns = this.column_names().filter(|column| *column != "counted");
         let differing = columns.filter_map(|column| {
-            let (value, others) = (row.text(column)?, counterpart.text(column)?);
+            let (value, other_value) = (row.text(column)?, counterpart.text(column)?);
             let shown = |value: &str| if value.is_empty() { "none" } else { value }.to_owned();
-            (value != others).then(|| format!("{column} {} in run 1, {} in run {number}", shown(value), shown(others)))
+            (value != other_value).then(|| {
+                format!(
+                    "{column} {} in run 1, {} in run {number}",
+                    shown(value),
+                    shown(other_value)
+                )
+            })
         });
         let differing: Vec<String> = differing.take(MAX_NAMED_COLUMNS).collect();
         if !differing.is_empty() {

@@ -20,7 +20,7 @@ use crate::display::{WIDTH, print_stdout, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::run_folder::SCENARIO_FILE;
 
-/// Metrics that are compared by default.
+/// Metrics that are compared by default; the help of `--metric` repeats them.
 const METRICS: [&str; 4] = [
     "info_p1",
     "misdetection_pct",
@@ -28,7 +28,8 @@ const METRICS: [&str; 4] = [
     "energy_per_device_tti",
 ];
 
-/// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording.
+/// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording. `lab/src/sweep/`
+/// writes the files that identify a sweep.
 pub(super) fn is_sweep(path: &Path) -> bool {
     let is_table = |ending: &std::ffi::OsStr| ending == "parquet" || ending == "csv";
     if path.is_dir() {

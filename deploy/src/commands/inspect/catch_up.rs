@@ -148,7 +148,8 @@ impl CatchUp {
         Ok(true)
     }
 
-    /// Takes a received frame and passes on everything before it first.
+    /// Takes a received frame and passes on everything before it first. Before a plan, world or clock frame, the input
+    /// log must have been read up to it, as `Live::follow` does.
     ///
     /// # Errors
     /// See [`Self::replay_until`].

@@ -80,7 +80,7 @@ impl Live {
         let end_notifier = Arc::clone(&run_ended);
         let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
             if !alive {
-                // `notify_one` keeps a permit: the token can disappear before anything waits for it.
+                // `notify_one` keeps a permit: the liveliness token can disappear before anything waits for it.
                 end_notifier.notify_one();
             }
         })?;

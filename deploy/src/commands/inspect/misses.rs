@@ -19,7 +19,7 @@ use crate::run_reader::{Row, RunReader};
 
 /// Most bins of TTIs.
 const MAX_BINS: u64 = 10;
-/// Statistics of a device from `devices.csv`.
+/// Statistics of a device from `devices.csv`, also keys of `--json`; [`format_devices`] relies on their order.
 const DEVICE_COLUMNS: [&str; 5] = [
     "final_battery",
     "low_ttis",

@@ -1,4 +1,5 @@
-//! Sources of frames for `tail`, `stats` and the dashboard: a live run or a recording. Both keep the order of frames.
+//! Sources of frames for `tail` and `stats`: a live run or a recording. Both keep the order of frames. Every command
+//! that reads a recording uses [`open`].
 
 use std::fs::File;
 use std::io::BufReader;
@@ -31,15 +32,15 @@ pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
 /// If the file is not a recording or has another version, or the folder does not hold exactly one recording.
 pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
     let path = find_recording(path)?;
-    let named = || path.display().to_string();
+    let path_text = || path.display().to_string();
     let file = File::open(&path).map_err(|error| {
         let hint = "name a recording, such as run.mcap, or the run folder that holds one";
-        anyhow!("{}: {}", named(), describe_read_error(&error, hint))
+        anyhow!("{}: {}", path_text(), describe_read_error(&error, hint))
     })?;
     if is_growing(&file) {
-        note!("{}: still being written; reading the messages so far", named());
+        note!("{}: still being written; reading the messages so far", path_text());
     }
-    RecordingReader::open(BufReader::new(file)).with_context(named)
+    RecordingReader::open(BufReader::new(file)).with_context(path_text)
 }
 
 /// Returns `path`, or for a folder the only recording in it.
@@ -47,10 +48,10 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }
-    let named = path.display();
+    let folder = path.display();
     let files = path
         .read_dir()
-        .with_context(|| named.to_string())?
+        .with_context(|| folder.to_string())?
         .flatten()
         .map(|entry| entry.path());
     let mut recordings: Vec<PathBuf> = files
@@ -62,16 +63,16 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
     recordings.sort_unstable();
     match (&recordings[..], path.join(SCENARIO_FILE).is_file()) {
         ([only], _) => Ok(only.clone()),
-        ([], false) => bail!("{named}: the folder holds no recording; name a recording, such as run.mcap"),
+        ([], false) => bail!("{folder}: the folder holds no recording; name a recording, such as run.mcap"),
         ([], true) if matches!(status(path), FolderStatus::Running(_)) => {
-            bail!("{named}: the folder holds no recording; leave it out to observe the active run")
+            bail!("{folder}: the folder holds no recording; leave it out to observe the active run")
         }
         ([], true) => bail!(
-            "{named}: the folder holds no recording; create one with `reveille run --scenario {named}/{SCENARIO_FILE} \
-             --record {named}/run.{RECORDING_EXTENSION}`"
+            "{folder}: the folder holds no recording; create one with `reveille run --scenario \
+             {folder}/{SCENARIO_FILE} --record {folder}/run.{RECORDING_EXTENSION}`"
         ),
         ([first, ..], _) => bail!(
-            "{named}: the folder holds {} recordings; name one of them, such as {}",
+            "{folder}: the folder holds {} recordings; name one of them, such as {}",
             recordings.len(),
             first.display()
         ),
@@ -172,7 +173,8 @@ impl FrameSource {
     }
 }
 
-/// The group of each device; `None` if the policy has no groups by position or needs pilot runs to form them.
+/// The group of each device, the cluster of `--cluster`; `None` if the policy has no groups by position or needs pilot
+/// runs to form them.
 pub(crate) fn device_groups(scenario: &Scenario) -> Option<Vec<u32>> {
     let prepared = PreparedRun::without_pilots(scenario);
     if scenario.policy.settings().pilot_search().is_some() {

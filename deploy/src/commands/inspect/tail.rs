@@ -82,20 +82,22 @@ fn filter(args: &TailArgs) -> Filter {
 
 /// The devices of a cluster of the policy of `scenario`, limited to `allowed` if given.
 fn cluster_devices(scenario: &Scenario, cluster: u32, allowed: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
-    let Some(groups) = device_groups(scenario) else {
+    let Some(cluster_of_device) = device_groups(scenario) else {
         bail!(
             "--cluster: policy {} has no clusters that the scenario determines; leave it out",
             scenario.policy.name()
         );
     };
-    let last_cluster = groups.iter().max().copied().unwrap_or(0);
+    let last_cluster = cluster_of_device.iter().max().copied().unwrap_or(0);
     anyhow::ensure!(
         cluster <= last_cluster,
         "--cluster {cluster}: the run has {} clusters, 0 to {last_cluster}",
         last_cluster + 1
     );
-    let ids = (0..).map(DeviceId).zip(&groups);
-    let members = ids.filter(|(_, group)| **group == cluster).map(|(id, _)| id);
+    let ids = (0..).map(DeviceId).zip(&cluster_of_device);
+    let members = ids
+        .filter(|(_, own_cluster)| **own_cluster == cluster)
+        .map(|(id, _)| id);
     Ok(members
         .filter(|id| allowed.is_none_or(|allowed| allowed.contains(id)))
         .collect())

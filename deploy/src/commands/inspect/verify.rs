@@ -20,10 +20,10 @@ use crate::exit::ExitReason;
 
 /// Verifies a recording.
 pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
-    let named = || args.file.display().to_string();
+    let path_text = || args.file.display().to_string();
     let mut recording = open(&args.file)?;
     let summary = recording.summary().map(str::to_owned);
-    let scenario = recording.bundle().load().with_context(named)?;
+    let scenario = recording.bundle().load().with_context(path_text)?;
     let mut reconstruction = Reconstruction::new(&scenario);
     let mut frame_count = 0;
     let torn = loop {
@@ -34,10 +34,10 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                     is_from_the_start,
                     "{}: starts at TTI {}, but results can be verified only from TTI 0; use a recording of the whole \
                      run",
-                    named(),
+                    path_text(),
                     frame.tti
                 );
-                reconstruction.apply(&frame).with_context(named)?;
+                reconstruction.apply(&frame).with_context(path_text)?;
                 frame_count += 1;
             }
             Ok(None) => break None,
@@ -48,13 +48,13 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let recomputed = reconstruction.finish();
     let consistency = format!(
         "{}: {}, TTIs 0 to {}, are consistent",
-        named(),
+        path_text(),
         count_noun(frame_count, "message"),
         ttis.saturating_sub(1)
     );
     if let Some(error) = torn {
         print_stdout(&format!("{consistency}\n"))?;
-        bail!("{}: {error}; the recording has no summary to compare with", named());
+        bail!("{}: {error}; the recording has no summary to compare with", path_text());
     }
     let Some(summary) = summary else {
         print_stdout(&format!("{consistency}\ndigest of these TTIs {}\n", recomputed.digest))?;
@@ -63,10 +63,10 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         } else {
             "it was recorded by `inspect record`, or its end is damaged".to_owned()
         };
-        bail!("{}: the recording has no summary to compare with: {why}", named());
+        bail!("{}: the recording has no summary to compare with: {why}", path_text());
     };
-    let summary: ExpectedResults = serde_json::from_str(&summary).with_context(named)?;
-    compare(&recomputed, ttis, &summary).with_context(named)?;
+    let summary: ExpectedResults = serde_json::from_str(&summary).with_context(path_text)?;
+    compare(&recomputed, ttis, &summary).with_context(path_text)?;
     print_stdout(&format!(
         "{consistency}\ndigest {}, as in the summary\nall metrics and totals, as in the summary\n",
         recomputed.digest

@@ -160,12 +160,12 @@ fn sweep_folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf
             read_seed_count(grid, shard, experiment_folder)?,
         ))
     });
-    let is_requested = |own: &Path| {
+    let is_requested = |folder: &Path| {
         args.out
             .as_deref()
-            .is_none_or(|out| crate::paths::is_same_path(out, own))
+            .is_none_or(|out| crate::paths::is_same_path(out, folder))
     };
-    if let Some((experiment_folder, journal_seeds)) = experiment_folder.filter(|(own, _)| is_requested(own)) {
+    if let Some((experiment_folder, journal_seeds)) = experiment_folder.filter(|(folder, _)| is_requested(folder)) {
         let seeds = &mut grid.experiment.seeds.count;
         if args.grid.seeds.is_none() {
             // A kill while seeds were added can leave an experiment.toml with fewer seeds than the journal.

@@ -99,9 +99,9 @@ impl SweepSummary<'_> {
             .collect();
         let is_shared = |column: &usize| labels.iter().all(|row| row[*column] == labels[0][*column]);
         // The policy stays a column: it names the rows.
-        let (shared, own): (Vec<usize>, Vec<usize>) =
+        let (shared_columns, row_columns): (Vec<usize>, Vec<usize>) =
             (0..headings.len()).partition(|column| *column != 1 && is_shared(column));
-        let title = shared.iter().filter_map(|column| {
+        let title = shared_columns.iter().filter_map(|column| {
             let value = labels.first()?.get(*column)?;
             Some(match headings[*column] {
                 RUNS => format!("{value} {} per row", if value == "1" { "run" } else { "runs" }),
@@ -112,18 +112,25 @@ impl SweepSummary<'_> {
         let rows: Vec<(Vec<String>, &CellRuns<'_>)> = cells
             .iter()
             .zip(&labels)
-            .map(|(cell, labels)| (own.iter().map(|column| labels[*column].clone()).collect(), *cell))
+            .map(|(cell, labels)| {
+                (
+                    row_columns.iter().map(|column| labels[*column].clone()).collect(),
+                    *cell,
+                )
+            })
             .collect();
-        let own: Vec<&str> = own.iter().map(|column| headings[*column]).collect();
+        let row_headings: Vec<&str> = row_columns.iter().map(|column| headings[*column]).collect();
         // Several swept fields leave less room for metrics, which then make further tables.
         let tables = [6, 3, 2, 1].map(|count| {
             let parts = CLOSING_METRICS.chunks(count);
-            let tables: Vec<String> = parts.map(|metrics| format_table(&own, &rows, metrics)).collect();
+            let tables: Vec<String> = parts
+                .map(|metrics| format_table(&row_headings, &rows, metrics))
+                .collect();
             tables.join("\n")
         });
-        let narrow = tables.iter().find(|text| columns_of(text) <= WIDTH);
+        let first_that_fits = tables.iter().find(|text| columns_of(text) <= WIDTH);
         let [.., narrowest] = &tables;
-        let tables = narrow.unwrap_or(narrowest);
+        let tables = first_that_fits.unwrap_or(narrowest);
         format!("{title}\n{tables}")
     }
 
@@ -222,15 +229,15 @@ impl SweepSummary<'_> {
     }
 }
 
-/// Formats a row for each cell with its labels, whose headings are `own`, and `metrics`. Long headings of swept fields
+/// Formats a row for each cell with its labels, below `row_headings`, and `metrics`. Long headings of swept fields
 /// break at dots.
-fn format_table(own: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[(&str, &str)]) -> String {
+fn format_table(row_headings: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[(&str, &str)]) -> String {
     let mut table = Table::new();
-    let own_headings = own.iter().map(|heading| heading.replace('.', ".\n"));
-    let headings = metrics.iter().map(|(_, heading)| (*heading).to_owned());
+    let label_headings = row_headings.iter().map(|heading| heading.replace('.', ".\n"));
+    let metric_headings = metrics.iter().map(|(_, heading)| (*heading).to_owned());
     table
         .load_style(UTF8_HORIZONTAL_ONLY.row_separator(LineStyle::none()))
-        .set_header(own_headings.chain(headings));
+        .set_header(label_headings.chain(metric_headings));
     for (labels, cell) in rows {
         let estimates = metrics.iter().map(|(metric, _)| {
             let text = format_estimate(cell.metric_estimate(metric));
@@ -239,7 +246,10 @@ fn format_table(own: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[
         table.add_row(labels.iter().cloned().chain(estimates));
     }
     // Names are aligned left, and the number next to the metrics right.
-    for column in table.column_iter_mut().skip(own.len().saturating_sub(1).max(1)) {
+    for column in table
+        .column_iter_mut()
+        .skip(row_headings.len().saturating_sub(1).max(1))
+    {
         column.set_cell_alignment(CellAlignment::Right);
     }
     for column in table.column_iter_mut() {
