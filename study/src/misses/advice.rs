@@ -1,5 +1,5 @@
 //! The change of the scenario that the main cause of missed events suggests. A test compares the named fields with the
-//! declaration of the scenario.
+//! declaration of the scenario. Policies without an entry below get general advice.
 
 use std::fmt;
 
@@ -93,7 +93,7 @@ fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> Vec<&'static 
     changes
 }
 
-/// Returns a sentence with the expected harvest and the costs of a device.
+/// Returns a sentence with the expected harvest of a device, and with the costs in the first class.
 fn balance(scenario: &Scenario) -> String {
     let balance = EnergyBalance::new(scenario);
     let number = |x: f64| format_significant(x, 3);
@@ -131,7 +131,7 @@ pub(super) fn advice(
 /// In a run with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
 fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
-    let spent = scenario
+    let report_cost = scenario
         .classes
         .first()
         .map_or(f64::NAN, |class| class.energy.e_tx.units());
@@ -200,7 +200,7 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
         MissCause::NoEnergy => {
             background = Some(format!("{}.", balance(scenario)));
             (
-                format!("detected by devices that could not pay energy.e_tx = {spent} for a report"),
+                format!("detected by devices that could not pay energy.e_tx = {report_cost} for a report"),
                 owned([harvest_more(), vec!["lower energy.e_tx"], sense_less(policy)].concat()),
             )
         }
