@@ -105,7 +105,7 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
         assert_refused(
             &finished,
             1,
-            &["whole: holds no complete table: its sweep is not finished"],
+            &["whole: the folder holds no table with all runs of its sweep: its sweep is not finished"],
         );
         let finished = folder.run(&format!("{command} runtime --out c"));
         assert_refused(

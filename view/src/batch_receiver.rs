@@ -70,14 +70,14 @@ mod tests {
         });
         let mut batches = BatchReceiver::new(items);
         let mut received = Vec::new();
-        let end = loop {
+        let error = loop {
             match batches.next(Duration::from_secs(20)) {
                 Ok(batch) => received.extend(batch),
-                Err(end) => break end,
+                Err(error) => break error,
             }
         };
         sender.join().expect("sent");
-        assert_eq!(end, RecvTimeoutError::Disconnected);
+        assert_eq!(error, RecvTimeoutError::Disconnected);
         assert!(received.into_iter().eq(0..20_000));
     }
 

@@ -143,7 +143,7 @@ impl RunComparison {
             && let Some(counterpart) = comparison.waiting.pop_front()
         {
             if counterpart != *frame {
-                comparison.record_difference(Some((side.opposite(), counterpart)), Some((side, frame.clone())));
+                comparison.record_difference(Some((side, frame.clone())), Some((side.opposite(), counterpart)));
             }
         } else if other_has_passed {
             // The other run is past this TTI without such a message.
@@ -190,13 +190,17 @@ impl RunComparison {
 
 impl KindComparison {
     /// Records the first difference. If the TTIs differ, only the earlier message is kept, without a counterpart.
-    fn record_difference(&mut self, one: Option<(RunSide, Frame)>, two: Option<(RunSide, Frame)>) {
-        let Some(tti) = one.iter().chain(&two).map(|(_, frame)| frame.tti).min() else {
+    fn record_difference(&mut self, message: Option<(RunSide, Frame)>, counterpart: Option<(RunSide, Frame)>) {
+        let Some(tti) = message.iter().chain(&counterpart).map(|(_, frame)| frame.tti).min() else {
             return;
         };
-        let kind = one.iter().chain(&two).map(|(_, frame)| frame.kind).next();
+        let kind = message.iter().chain(&counterpart).map(|(_, frame)| frame.kind).next();
         let (mut this, mut other) = (None, None);
-        for (side, frame) in one.into_iter().chain(two).filter(|(_, frame)| frame.tti == tti) {
+        for (side, frame) in message
+            .into_iter()
+            .chain(counterpart)
+            .filter(|(_, frame)| frame.tti == tti)
+        {
             match side {
                 RunSide::This => this = Some(frame),
                 RunSide::Other => other = Some(frame),
@@ -216,8 +220,8 @@ pub fn compare_recordings<R: Read + Seek>(
     let mut comparison = RunComparison::default();
     while comparison.compared_until() < Tti::NEVER {
         // The run that is behind is read next, so that few messages wait for their counterparts.
-        let [own, others] = comparison.reached;
-        let (side, reader) = if own <= others {
+        let [this_reached, other_reached] = comparison.reached;
+        let (side, reader) = if this_reached <= other_reached {
             (RunSide::This, &mut *this)
         } else {
             (RunSide::Other, &mut *other)
@@ -234,7 +238,8 @@ pub fn compare_recordings<R: Read + Seek>(
 /// A scenario field that differs: its name, this value and the other value.
 pub type FieldDifference = (String, String, String);
 
-/// Lists the fields in which two scenario files differ, sorted by name. A missing field has the value `none`.
+/// Lists the fields in which two scenario files differ, sorted by name. A missing field has its default value, or
+/// `none` where it is unknown or has no effect.
 ///
 /// # Errors
 /// If one of the texts is not valid TOML.

@@ -124,7 +124,7 @@ impl DeviceMirror {
         self.open_wake_up.is_some()
     }
 
-    /// State and battery of `device` in the current TTI.
+    /// State and battery of `device` in the current TTI; `None` before TTI 0, and if it does not exist.
     pub fn view(&mut self, device: DeviceId) -> Option<DeviceView> {
         let now = self.current_tti()?;
         let machine = self.machines.get_mut(device.index())?;
@@ -146,7 +146,11 @@ impl DeviceMirror {
         self.machines.iter_mut().map(view).collect()
     }
 
-    /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`].
+    /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`]; `None` if it does not
+    /// exist.
+    ///
+    /// # Panics
+    /// If the device is already past `tti`.
     pub(crate) fn view_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceView> {
         self.apply_changes_up_to(tti);
         let machine = self.machines.get_mut(device.index())?;
@@ -178,6 +182,9 @@ impl DeviceMirror {
     }
 
     /// Ledger of `device` if the run ended before TTI `end`, which is at most the next TTI.
+    ///
+    /// # Panics
+    /// If the device is already past `end`.
     pub fn ledger(&self, device: DeviceId, end: Tti) -> Option<Ledger> {
         let mut machine = self.machines.get(device.index())?.clone();
         machine.advance_to(end);

@@ -66,7 +66,7 @@ impl StateName {
 
 impl Filter {
     /// Whether `frame`, whose decoded content is `message`, passes. `state` belongs to the device at the end of the
-    /// frame's key, if known.
+    /// frame's key, if known. `message` is needed only for a filter by device, and `state` only for one by state.
     pub fn passes(&self, frame: &Frame, message: Option<&Message>, state: Option<DeviceState>) -> bool {
         let Self {
             plane,

@@ -1,6 +1,6 @@
-//! A frame as one line: text for a reader, or JSON for programs and recordings. The JSON form is a file format:
-//! recordings hold it, and `from_json` must read what [`FrameLine::to_json`] writes. `wake_up_pairs` prints the same
-//! columns as text.
+//! A frame as one line: text for a reader, or JSON for programs and recordings. The JSON form is a file format of
+//! version [`VERSION`](crate::recording::VERSION): recordings hold it, `schemas` describes it, and `from_json` must
+//! read what [`FrameLine::to_json`] writes. `wake_up_pairs` prints the same columns as text.
 
 use std::fmt::{self, Write as _};
 

@@ -233,9 +233,9 @@ impl RunHistory {
         views
     }
 
-    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, as returned by
-    /// [`HistorySpan::for_each_tti`], if it is closer to `from` than the history's own snapshots. `None` if no such TTI
-    /// is available.
+    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, which
+    /// [`HistorySpan::for_each_tti`] returned for this history, if it is closer to `from` than the history's own
+    /// snapshots. `None` if no such TTI is available.
     pub fn span(&self, from: Tti, end: Tti, earlier_snapshot: Option<ResumeSnapshot>) -> Option<HistorySpan> {
         let (available_from, available_end) = self.available_ttis();
         let (from, end) = (from.max(available_from), end.min(available_end));

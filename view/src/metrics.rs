@@ -48,6 +48,7 @@ impl KindLabels {
     }
 }
 
+/// Label of a device state or, in `energy_spent_units`, of a purpose of spending.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct StateLabels {
     state: &'static str,
@@ -58,9 +59,10 @@ struct BucketLabels {
     at_most: String,
 }
 
-type Float = Gauge<f64, AtomicU64>;
+type FloatGauge = Gauge<f64, AtomicU64>;
 
-/// Statistics of the processes of a run, as known to this process.
+/// Statistics of the processes of a run, as known to this process. All but `hosts` are totals since its start, which
+/// never fall.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessStats {
     /// Hosts that run devices and are not lost.
@@ -104,10 +106,10 @@ struct Handles {
     harvested: Counter<f64, AtomicU64>,
     states: Family<StateLabels, Gauge>,
     batteries: Family<BucketLabels, Gauge>,
-    mean_battery: Float,
+    mean_battery: FloatGauge,
     hosts: Gauge,
     late_ttis: Counter,
-    max_late: Float,
+    max_late: FloatGauge,
     recorder_waited: Counter<f64, AtomicU64>,
     dropped_messages: Counter,
     delays: Histogram,
@@ -404,8 +406,8 @@ fn to_prometheus_text(openmetrics: &str) -> String {
         let mut parts = line.splitn(4, ' ');
         match (parts.next(), parts.next(), parts.next(), parts.next()) {
             (Some("#"), Some("EOF" | "UNIT"), ..) => String::new(),
-            (Some("#"), Some(keyword), Some(name), Some(rest)) if counters.contains(&name) => {
-                format!("# {keyword} {name}_total {rest}\n")
+            (Some("#"), Some(keyword), Some(name), Some(text)) if counters.contains(&name) => {
+                format!("# {keyword} {name}_total {text}\n")
             }
             _ => format!("{line}\n"),
         }

@@ -1,5 +1,5 @@
 //! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check. `inspect verify` and
-//! the dashboard use it. Its score must count as the base station's does, in the same order.
+//! the dashboard use it. Its score must count as `bs/src/cycle.rs` does, in the same order.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::codec;

@@ -23,9 +23,9 @@ impl MessageCount {
     }
 
     fn sum(counts: impl Iterator<Item = Self>) -> Self {
-        counts.fold(Self::default(), |sum, one| Self {
-            messages: sum.messages + one.messages,
-            bytes: sum.bytes + one.bytes,
+        counts.fold(Self::default(), |sum, count| Self {
+            messages: sum.messages + count.messages,
+            bytes: sum.bytes + count.bytes,
         })
     }
 }

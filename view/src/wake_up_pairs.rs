@@ -16,7 +16,7 @@ pub struct WakeUpExchange {
     pub device: DeviceId,
     /// Outcome of the wake-up.
     pub outcome: WakeOutcome,
-    /// Bytes on the air: the wake-up, and the report if any.
+    /// Bytes on the air: the wake-up, and the report if one arrived.
     pub bytes: usize,
 }
 
@@ -44,7 +44,7 @@ pub enum PairStep {
     Paired(WakeUpExchange),
 }
 
-/// Pairs wake-ups with their outcomes.
+/// Pairs wake-ups with their outcomes. A run has at most one open wake-up at a time.
 #[derive(Clone, Debug, Default)]
 pub struct WakeUpPairer {
     /// Device of the open wake-up, and its bytes so far.

@@ -16,7 +16,7 @@ use reveille_lab::stats::Estimate;
 use super::{AnalysisError, check_seeds, map_seeds};
 use crate::claims::{Citation, Contradiction, FIG_8, FIG_13, FIG_14};
 
-/// Largest valid λ.
+/// Largest λ of a study; a scenario may have a larger one.
 const MAX_LAMBDA: f64 = 1000.0;
 /// Halvings of an interval that contains a root; double precision needs no more.
 const BISECTION_STEPS: u32 = 200;
@@ -253,7 +253,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
             λ of E_B = 5 and 10 to 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
     };
     /// Creates a statement on two λ: of the policy that spends least, then of the one that spends most.
-    const fn both(
+    const fn with_two_lambdas(
         devices: u32,
         (least, most): LeastAndMost,
         e_b: f64,
@@ -266,11 +266,11 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
                 lambda: most_lambda,
                 policy: most,
             }),
-            ..one(devices, (least, most), e_b, least_lambda, citation)
+            ..with_one_lambda(devices, (least, most), e_b, least_lambda, citation)
         }
     }
     /// Creates a statement on a single λ, which is assigned to the policy that spends least.
-    const fn one(
+    const fn with_one_lambda(
         devices: u32,
         (policy, _): LeastAndMost,
         e_b: f64,
@@ -295,20 +295,20 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
     }
     [
         contradicted(
-            both(10, POLICIES_AT_N_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)),
+            with_two_lambdas(10, POLICIES_AT_N_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)),
             ABOVE_ANY_HARVEST,
         ),
-        one(10, POLICIES_AT_N_10, 5.0, 0.09, FIG_13.sentence(7)),
-        one(10, POLICIES_AT_N_10, 10.0, 0.05, FIG_13.sentence(7)),
+        with_one_lambda(10, POLICIES_AT_N_10, 5.0, 0.09, FIG_13.sentence(7)),
+        with_one_lambda(10, POLICIES_AT_N_10, 10.0, 0.05, FIG_13.sentence(7)),
         contradicted(
-            both(100, POLICIES_AT_N_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
+            with_two_lambdas(100, POLICIES_AT_N_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
             DIFFERENT_CONSUMPTIONS,
         ),
-        both(100, POLICIES_AT_N_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
-        both(100, POLICIES_AT_N_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
-        both(250, POLICIES_AT_N_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
-        one(250, POLICIES_AT_N_250, 5.0, 0.05, FIG_13.sentence(7)),
-        one(250, POLICIES_AT_N_250, 10.0, 0.02, FIG_13.sentence(7)),
+        with_two_lambdas(100, POLICIES_AT_N_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
+        with_two_lambdas(100, POLICIES_AT_N_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
+        with_two_lambdas(250, POLICIES_AT_N_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
+        with_one_lambda(250, POLICIES_AT_N_250, 5.0, 0.05, FIG_13.sentence(7)),
+        with_one_lambda(250, POLICIES_AT_N_250, 10.0, 0.02, FIG_13.sentence(7)),
     ]
 };
 

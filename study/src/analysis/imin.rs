@@ -1,5 +1,5 @@
 //! E(I_min) over deployments (Sec. V-A, Eqs. (`E_Info3`) and (`E_Info1`)): the mean over random layouts next to the
-//! closed form for a square grid. Only `reveille analyse imin` shows the results.
+//! closed form for a square grid. `reveille analyse imin` shows the results, and docs/analysis.md quotes them.
 
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;

@@ -6,9 +6,9 @@
 //! - [`runtime`]: the run time against N (Sec. V-D).
 //! - [`harvest`]: harvest and net energy against λ (Sec. VI-B), and the paper's statements on λ.
 //!
-//! All measurements come from [`reveille_lab::run`] or from the device machine itself; this module adds no second
-//! model. Closed forms are evaluated as printed in the paper. Values that are not probabilities are reported, not
-//! corrected.
+//! Measurements come from runs ([`reveille_lab::run`]), from the device machine itself or, in [`imin`], from
+//! deployments; this module adds no second model. Closed forms are evaluated as printed in the paper. Values that are
+//! not probabilities are reported, not corrected.
 
 pub mod battery;
 pub mod harvest;

@@ -1,8 +1,8 @@
 //! Claims on batteries: the share of devices with low energy (Fig. 10) and the mean level (Fig. 11). Numbers are
 //! transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by which figures
-//! find claims ([`super::claims_on`]). The order of the claims numbers them for
-//! [`crate::report::search`], so a claim in the middle moves later ones to the other half of the search. An empty
-//! `metric_reason` means that the paper's words allow no other metric.
+//! find claims ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`], so a claim
+//! in the middle moves later ones to the other half of the search. An empty `metric_reason` means that the paper's
+//! words allow no other metric. Texts appear in docs/reproduction.md.
 
 use super::citation::FIGS_10_11;
 use super::claim::ClaimQuantity::{Growth, Mean};

@@ -1,7 +1,8 @@
 //! Claims on consumption: Fig. 8, and the policies with the least and the most consumption by Figs. 13 and 14. Numbers
 //! are transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by which
-//! figures find claims ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`]. An
-//! empty `metric_reason` means that the paper's words allow no other metric.
+//! figures find claims ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`], as
+//! [`super`] explains. An empty `metric_reason` means that the paper's words allow no other metric. Texts appear in
+//! docs/reproduction.md.
 
 use super::citation::{ABSTRACT, CONCLUSIONS, CONTRIBUTION, FIG_8, FIG_13, FIG_14, PARAMETERS};
 use super::claim::ClaimQuantity::{Gap, Mean, Ratio};

@@ -1,7 +1,8 @@
 //! Claims on misdetections (Fig. 9), and on the events that the genie misses for lack of energy. Numbers are
 //! transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by which figures
-//! find claims ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`]. An empty
-//! `metric_reason` means that the paper's words allow no other metric.
+//! find claims ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`], as [`super`]
+//! explains. An empty `metric_reason` means that the paper's words allow no other metric. Texts appear in
+//! docs/reproduction.md.
 
 use super::citation::FIG_9;
 use super::claim::ClaimQuantity::{Mean, Ratio};

@@ -1,7 +1,7 @@
 //! Claims on wrong activations (Fig. 12a) and on the energy that they waste (Fig. 12b). Numbers are transcribed from
 //! the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by which figures find claims
-//! ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`]. An empty `metric_reason`
-//! means that the paper's words allow no other metric.
+//! ([`super::claims_on`]). The order of the claims numbers them for [`crate::report::search`], as [`super`] explains.
+//! An empty `metric_reason` means that the paper's words allow no other metric. Texts appear in docs/reproduction.md.
 
 use super::citation::{FIG_9, FIG_12};
 use super::claim::ClaimQuantity::{Mean, Ratio};

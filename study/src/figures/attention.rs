@@ -90,13 +90,13 @@ impl AttentionFigure {
             shown_devices.sort_by(|a, b| log_expectations[*b].abs().total_cmp(&log_expectations[*a].abs()));
             shown_devices.truncate(DEFAULT_DEVICES);
         }
-        let last_looks = window.last().map_or(&[][..], |step| &step.devices[..]);
+        let last_devices = window.last().map_or(&[][..], |step| &step.devices[..]);
         Ok(Self {
             tti,
             shape,
             positions: Deployment::new(scenario).positions(),
             attention_shares: forward.attention().to_vec(),
-            is_sensing: last_looks.iter().map(|look| look.is_sensing).collect(),
+            is_sensing: last_devices.iter().map(|device| device.is_sensing).collect(),
             ttis_since_first_report: (0..log_expectations.len())
                 .map(|j| ttis_since_first_report(&window, j))
                 .collect(),
@@ -204,7 +204,7 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
 }
 
 fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
-    let on = attention.is_sensing.iter().filter(|on| **on).count();
+    let sensing = attention.is_sensing.iter().filter(|is_sensing| **is_sensing).count();
     let ttis_ago: Vec<usize> = attention.ttis_since_first_report.iter().flatten().copied().collect();
     let first_reports = ttis_ago.iter().min().map_or_else(
         || "No device was the first to report an event in the attended TTIs.".to_owned(),
@@ -224,8 +224,9 @@ fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
         ModelObjective::Actions => "the log-odds that the imitated policy lets the device sense",
     };
     format!(
-        "Colours of the Voronoi cells: {quantity}. {on} devices, with circles, were commanded to sense. Below, for \
-         each head: the share of a device's attention to each of the last {} TTIs. {first_reports} Preset {}, seed {}.",
+        "Colours of the Voronoi cells: {quantity}. {sensing} devices, with circles, were commanded to sense. Below, \
+         for each head: the share of a device's attention to each of the last {} TTIs. {first_reports} Preset {}, \
+         seed {}.",
         attention.shape.memory, scenario.run.preset, scenario.run.seed
     )
 }

@@ -514,7 +514,8 @@ pub(super) fn hatch_lines([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
     (0..=last_index).filter_map(line).collect()
 }
 
-/// Spreads marks that share an x around it, in order: one marker width apart, at most 4 points from x.
+/// Spreads marks that share an x around it, in order: a marker width apart, or closer if one would be more than
+/// `MAX_MARK_OFFSET` from x.
 pub fn separate_overlapping(marks: &mut [StatedMark]) {
     let originals = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {

@@ -1,5 +1,5 @@
-//! A page of small charts: a row for each condition, a column for each metric, with one legend. The charts of a column
-//! share the y axis, so that rows compare.
+//! A page of small charts for [`super::robustness`]: a row for each impairment, a column for each metric, with one
+//! legend. [`ChartGrid::share_y_axes`] must be called before drawing, so that rows compare.
 
 use super::chart::{Chart, PlotFrame};
 use super::font::{Weight, text_width, wrap_text};

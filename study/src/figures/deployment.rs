@@ -287,11 +287,11 @@ impl ClassMarks {
             };
         }
         let class_of = assign_classes(scenario);
-        let named = (0_u16..).zip(&scenario.classes).map(|(index, class)| {
+        let with_counts = (0_u16..).zip(&scenario.classes).map(|(index, class)| {
             let devices = class_of.iter().filter(|assigned| **assigned == index).count();
             (index, class.name.clone(), devices)
         });
-        let mut ranked: Vec<(u16, String, usize)> = named.filter(|(_, _, devices)| *devices > 0).collect();
+        let mut ranked: Vec<(u16, String, usize)> = with_counts.filter(|(_, _, devices)| *devices > 0).collect();
         // A stable sort: of equally frequent classes the first in the scenario has no ring.
         ranked.sort_by_key(|(_, _, devices)| std::cmp::Reverse(*devices));
         Self { class_of, ranked }
@@ -414,7 +414,7 @@ fn draw_legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
 
 fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
     let EventRecord { start, last, tally, .. } = event_scene.event;
-    let ground = event_scene.clusters.as_ref().map_or_else(
+    let cells = event_scene.clusters.as_ref().map_or_else(
         || "Cells are the devices' Voronoi cells.".to_owned(),
         |cluster_of| {
             let count = cluster_of.iter().max().map_or(0, |largest| largest + 1);
@@ -428,7 +428,7 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
         many => format!("{many} wake-ups (numbered if they led to a report)"),
     };
     format!(
-        "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
+        "{cells} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
          got information {information}; I_min of the deployment is {i_min}. Preset {}, seed {}.",
         scenario.run.preset, scenario.run.seed
     )

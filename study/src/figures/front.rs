@@ -81,8 +81,8 @@ pub fn draw_fronts(conditions: &[&RunCondition]) -> Vec<ParetoFront> {
 /// Returns the changes of `condition`, knobs excluded.
 fn changes_without_knobs(condition: &RunCondition) -> FieldValues {
     let is_knob = |path: &str| path.starts_with("policy.") || path == RANKING;
-    let rest = condition.all_changes().filter(|(path, _)| !is_knob(path)).cloned();
-    rest.chain(condition.table_changes()).collect()
+    let other_fields = condition.all_changes().filter(|(path, _)| !is_knob(path)).cloned();
+    other_fields.chain(condition.table_changes()).collect()
 }
 
 fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition]) -> Option<ParetoFront> {
@@ -135,13 +135,13 @@ fn policy_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<PolicyLine<'c>> {
     let mut lines: Vec<PolicyLine<'c>> = Vec::new();
     for condition in group {
         for name in condition.policies() {
-            let Some(sample) = point(P1_METRIC, condition, name, n) else {
+            let Some(point) = point(P1_METRIC, condition, name, n) else {
                 continue;
             };
             let setting = KnobSetting {
                 condition,
                 knobs: knobs(condition, name),
-                point: sample,
+                point,
             };
             match lines.iter_mut().find(|line| line.name == name) {
                 None => lines.push(PolicyLine {
@@ -172,8 +172,8 @@ fn run_digests(condition: &RunCondition, name: &str, n: u32) -> Vec<(u64, [u8; 3
 /// Returns the values of the policy's own knobs.
 fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
     let prefix = format!("policy.{}.", series::split_policy(name).0);
-    let own = condition.all_changes().filter(|(path, _)| path.starts_with(&prefix));
-    own.map(|(_, value)| value.as_str()).collect()
+    let own_fields = condition.all_changes().filter(|(path, _)| path.starts_with(&prefix));
+    own_fields.map(|(_, value)| value.as_str()).collect()
 }
 
 impl PolicyLine<'_> {
@@ -196,8 +196,8 @@ impl PolicyLine<'_> {
             y: setting.point.y,
             text: setting.knobs.join(", "),
         };
-        let several = self.settings.iter().filter(|_| self.settings.len() > 1);
-        several.map(note).filter(|note| !note.text.is_empty()).collect()
+        let labelled = self.settings.iter().filter(|_| self.settings.len() > 1);
+        labelled.map(note).filter(|note| !note.text.is_empty()).collect()
     }
 }
 

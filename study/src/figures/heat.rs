@@ -71,7 +71,7 @@ pub(crate) struct HeatMap {
     pub columns: Vec<(String, Vec<String>)>,
     /// Labels of the rows, from the lowest.
     pub rows: RowLabels,
-    /// Cells by rows, from the lowest.
+    /// Cells by rows, from the lowest: at least one row and one column, all rows of equal length.
     pub cells: Vec<Vec<HeatCell>>,
 }
 
@@ -113,7 +113,7 @@ impl HeatMap {
         let widest = words.iter().map(width_of).chain(units).fold(0.0, f64::max);
         let left = at.0 + LEADING + widest + 5.0;
         let columns = self.cells.first().map_or(1, Vec::len);
-        let last_limits = self.columns.iter().filter_map(|(_, ends)| ends.last());
+        let last_limits = self.columns.iter().filter_map(|(_, limits)| limits.last());
         let overhang = last_limits.map(width_of).fold(0.0, f64::max) * 0.5;
         let grid = HeatGrid {
             map: self,
@@ -220,9 +220,9 @@ impl HeatGrid<'_> {
                     scene.text(row_label(name, 0.5 * (top + bottom)));
                 }
             }
-            RowLabels::Ends(ends) => {
-                for (row, end) in ends.iter().enumerate() {
-                    scene.text(row_label(end, self.top + self.cell_size.1 * (rows - row) as f64));
+            RowLabels::Ends(limits) => {
+                for (row, limit) in limits.iter().enumerate() {
+                    scene.text(row_label(limit, self.top + self.cell_size.1 * (rows - row) as f64));
                 }
             }
         }
@@ -235,13 +235,13 @@ impl HeatGrid<'_> {
             } else {
                 0.5
             };
-        for (unit, ends) in &self.map.columns {
+        for (unit, limits) in &self.map.columns {
             if !unit.is_empty() {
                 scene.text(Text::new(unit.as_str(), (self.left - 8.0, y), TEXT_SIZE).anchored(Anchor::End));
             }
-            for (column, end) in ends.iter().enumerate() {
+            for (column, limit) in limits.iter().enumerate() {
                 let x = self.left + self.cell_size.0 * column as f64;
-                scene.text(Text::new(end.as_str(), (x, y), TEXT_SIZE).anchored(Anchor::Middle));
+                scene.text(Text::new(limit.as_str(), (x, y), TEXT_SIZE).anchored(Anchor::Middle));
             }
             y += LEADING;
         }
@@ -268,10 +268,10 @@ pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64)
         let place = |i: u32| left + COLOUR_SCALE_WIDTH * f64::from(i) / f64::from(COLOUR_COUNT);
         let share = 2.0 * (f64::from(i) + 0.5) / f64::from(COLOUR_COUNT) - 1.0;
         // The colours overlap slightly to avoid gaps between them.
-        let end = (place(i + 1) + 0.3).min(left + COLOUR_SCALE_WIDTH);
+        let right = (place(i + 1) + 0.3).min(left + COLOUR_SCALE_WIDTH);
         let paint = Paint::Colour(blend(share));
         scene.area(
-            VectorPath::rectangle([place(i), top, end, top + COLOUR_SCALE_HEIGHT]),
+            VectorPath::rectangle([place(i), top, right, top + COLOUR_SCALE_HEIGHT]),
             paint,
             1.0,
         );

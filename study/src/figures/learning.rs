@@ -134,9 +134,9 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     let curve_points = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
     // All panels share x, so its labels are drawn only below the last row.
     let x = Scale::linear([0.0, curve_points.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
-    let is_one_window_and_area = rows.windows(2).fold([true; 2], |[window, area], pair| {
+    let is_one_window_and_area = rows.windows(2).fold([true; 2], |[is_one_window, is_one_area], pair| {
         let [same_window, same_area] = pair[0].same_window_and_area(&pair[1]);
-        [window && same_window, area && same_area]
+        [is_one_window && same_window, is_one_area && same_area]
     });
     let mut top = y + 7.0;
     for (i, row) in rows.iter().enumerate() {
@@ -174,11 +174,11 @@ fn draw_row_name(scene: &mut Scene, row: PanelRow, [is_one_window, is_one_area]:
     } = row;
     let mut y = top + 0.5 * PANEL_HEIGHT + 0.36 * TEXT_SIZE;
     scene.text(Text::new(format!("N = {devices}"), (MARGIN, y), TEXT_SIZE).bold());
-    let more = [
+    let differences = [
         (!is_one_window).then(|| lookback.label()),
         (!is_one_area).then(|| format!("{surface} m²")),
     ];
-    for text in more.into_iter().flatten() {
+    for text in differences.into_iter().flatten() {
         y += LEADING;
         scene.text(Text::new(text, (MARGIN, y), TEXT_SIZE));
     }

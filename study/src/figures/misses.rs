@@ -88,7 +88,7 @@ fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
 
 fn caption(misses: &Misses) -> String {
     let (missed, events) = (misses.missed.len(), misses.starts.len());
-    let share = if events == 0 {
+    let share_text = if events == 0 {
         "No event was counted.".to_owned()
     } else {
         format!(
@@ -98,5 +98,5 @@ fn caption(misses: &Misses) -> String {
     };
     let run = &misses.scenario.run;
     let advice = misses.advice().map_or_else(String::new, |advice| format!("{advice} "));
-    format!("{share} {advice}Preset {}, seed {}.", run.preset, run.seed)
+    format!("{share_text} {advice}Preset {}, seed {}.", run.preset, run.seed)
 }

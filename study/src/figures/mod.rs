@@ -2,14 +2,14 @@
 //! `q-learning` tables and weight tuning.
 //!
 //! ```text
-//! tables ─► study, sweep, pareto, front ─► chart ┐
-//! analysis::harvest ─► energy ─► chart           ├─► scene ─► svg, png
-//! run ─► run_walk ─► deployment, timeline        ┤
-//! misses::Misses ─► misses                       ┤
-//! runs ─► robustness ─► chart                    ┤
-//! run ─► trajectories ─► attention               ┤
-//! LearnedTables ─► learning, q_table             ┤
-//! tuning::History ─► tuning (contour)            ┘
+//! tables ─► results ─► study, sweep, pareto, front ─► chart ┐
+//! tables, analysis::harvest ─► energy ─► chart              ├─► scene ─► svg, png
+//! run ─► run_walk ─► deployment, timeline                   ┤
+//! misses::Misses ─► misses                                  ┤
+//! runs ─► robustness ─► chart_grid                          ┤
+//! run ─► trajectories ─► attention                          ┤
+//! LearnedTables ─► learning, q_table                        ┤
+//! tuning::History ─► tuning (contour)                       ┘
 //! ```
 //! A [`scene::Scene`] holds a complete figure; [`svg`] and [`png`] only serialise it. Equal input gives equal bytes.
 
@@ -50,7 +50,7 @@ pub mod tuning;
 
 pub use error::FigureError;
 
-/// Replaces the characters of `name` that are unsafe in a file name.
+/// Replaces the characters of `name` that are unsafe in a file name. Users' scripts read the names.
 pub fn to_file_name(name: &str) -> String {
     let keep = |c: char| {
         if c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_') {

@@ -66,7 +66,8 @@ fn box_of_digits(text: &Text) -> Rect {
 
 /// Returns whether a line crosses a box: its part between left and right overlaps its part between top and bottom.
 fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
-    let (mut start, mut end) = (0.0_f64, 1.0_f64);
+    // Shares of the line at which it enters and leaves the box.
+    let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
     for (start_coordinate, length, low, high) in [
         (from.0, to.0 - from.0, left, right),
         (from.1, to.1 - from.1, top, bottom),
@@ -77,10 +78,10 @@ fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) ->
             }
         } else {
             let (a, b) = ((low - start_coordinate) / length, (high - start_coordinate) / length);
-            (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
+            (enters, leaves) = (enters.max(a.min(b)), leaves.min(a.max(b)));
         }
     }
-    start < end
+    enters < leaves
 }
 
 /// Returns candidate texts right of, left of, above, below and in the corners around a point.

@@ -39,15 +39,17 @@ impl PairedDifference {
             let defined = condition.runs(policy, n).filter(|row| row.metric(metric).is_some());
             defined.map(|row| (row.seed, row)).collect()
         }
-        let (own, theirs) = (by_seed(own, n, metric), by_seed(reference, n, metric));
-        let common = own.iter().filter_map(|(seed, row)| Some((*row, *theirs.get(seed)?)));
-        let (own, theirs): (Vec<&ResultRow>, Vec<&ResultRow>) = common.unzip();
-        let values = own.iter().zip(&theirs);
-        let pairs: Vec<(f64, f64)> = values
+        let (own_by_seed, theirs_by_seed) = (by_seed(own, n, metric), by_seed(reference, n, metric));
+        let common = own_by_seed
+            .iter()
+            .filter_map(|(seed, row)| Some((*row, *theirs_by_seed.get(seed)?)));
+        let (own_rows, their_rows): (Vec<&ResultRow>, Vec<&ResultRow>) = common.unzip();
+        let row_pairs = own_rows.iter().zip(&their_rows);
+        let pairs: Vec<(f64, f64)> = row_pairs
             .filter_map(|(own, theirs)| Some((own.metric(metric)?, theirs.metric(metric)?)))
             .collect();
-        let own = MetricEstimate::from_rows(&own, metric)?;
-        let theirs = MetricEstimate::from_rows(&theirs, metric)?;
+        let own = MetricEstimate::from_rows(&own_rows, metric)?;
+        let theirs = MetricEstimate::from_rows(&their_rows, metric)?;
         let (difference, half_width) = difference(&own, &theirs, &pairs);
         Some(Self {
             seeds: pairs.len(),

@@ -146,17 +146,17 @@ impl TradeOff {
     pub fn chart(&self, conditions: &[&RunCondition]) -> Option<Chart> {
         let lines = trade_off_lines(self.metric, conditions);
         let first = lines.first()?;
-        let floor = self.floor(conditions);
-        let point_lists = lines.iter().map(|line| &line.points).chain([&floor]);
+        let floor_points = self.floor_points(conditions);
+        let point_lists = lines.iter().map(|line| &line.points).chain([&floor_points]);
         let point_lists = point_lists.filter(|points| !points.is_empty());
         let notes: Vec<Vec<Note>> = point_lists
-            .map(|points| points.iter().map(|(n, s)| n_label(*n, s)).collect())
+            .map(|points| points.iter().map(|(n, point)| n_label(*n, point)).collect())
             .collect();
         let mut series: Vec<Series> = lines.iter().map(TradeOffLine::series).collect();
-        let has_floor = !floor.is_empty();
+        let has_floor = !floor_points.is_empty();
         if has_floor {
             series.push(floor::floor_series(
-                floor.into_iter().map(|(_, sample)| sample).collect(),
+                floor_points.into_iter().map(|(_, point)| point).collect(),
             ));
         }
         let (stated_ns, marks): (Vec<u32>, Vec<StatedMark>) = self.marks(&lines).into_iter().unzip();
@@ -178,24 +178,24 @@ impl TradeOff {
 
     fn heading(&self, conditions: &[&RunCondition]) -> String {
         match conditions {
-            [one] if self.metric == P1_METRIC => figure_title(self.title, "Figs. 7 and 8", one),
-            [one] if !one.is_unchanged_preset() => figure_title(self.title, "", one),
+            [single] if self.metric == P1_METRIC => figure_title(self.title, "Figs. 7 and 8", single),
+            [single] if !single.is_unchanged_preset() => figure_title(self.title, "", single),
             _ => self.title.to_owned(),
         }
     }
 
     /// Returns the energy floor for sensing the whole area in every TTI, with one point for each N at the genie's
     /// information. Empty unless the metric is P1 and there is exactly one condition, with a floor for at least two N.
-    fn floor(&self, conditions: &[&RunCondition]) -> Vec<(u32, ChartPoint)> {
+    fn floor_points(&self, conditions: &[&RunCondition]) -> Vec<(u32, ChartPoint)> {
         let ([condition], P1_METRIC) = (conditions, self.metric) else {
             return Vec::new();
         };
-        let sample = |n: u32| {
+        let point = |n: u32| {
             let least_energy = floor::floor_within_harvest(condition.scenario.as_ref()?, n)?;
             let information = condition.estimate(GENIE, n, P1_METRIC)?.mean;
             Some((n, floor::exact_point(least_energy, information)))
         };
-        let points: Vec<(u32, ChartPoint)> = condition.device_counts(GENIE).into_iter().filter_map(sample).collect();
+        let points: Vec<(u32, ChartPoint)> = condition.device_counts(GENIE).into_iter().filter_map(point).collect();
         if points.len() > 1 { points } else { Vec::new() }
     }
 
@@ -208,7 +208,7 @@ impl TradeOff {
         has_floor: bool,
     ) -> String {
         let settings = match conditions {
-            [one] => one.label(),
+            [single] => single.label(),
             _ => format!("{}, with the changes in the legend", first.preset),
         };
         let counts = || conditions.iter().map(|c| c.runs_per_cell());
@@ -287,7 +287,7 @@ impl TradeOffLine<'_> {
             is_joined: true,
             has_markers: true,
             interval: Interval::Crosses,
-            points: self.points.iter().map(|(_, sample)| *sample).collect(),
+            points: self.points.iter().map(|(_, point)| *point).collect(),
         }
     }
 }
@@ -327,10 +327,10 @@ pub fn point(metric: &str, condition: &RunCondition, policy: &str, n: u32) -> Op
     })
 }
 
-fn n_label(n: u32, sample: &ChartPoint) -> Note {
+fn n_label(n: u32, point: &ChartPoint) -> Note {
     Note {
-        x: sample.x,
-        y: sample.y,
+        x: point.x,
+        y: point.y,
         text: n.to_string(),
     }
 }
@@ -352,7 +352,7 @@ fn by_importance(lines: &[Vec<Note>]) -> Vec<Note> {
 
 /// Returns marks for values that the paper states at one N for both metrics of a drawn policy.
 fn marks(lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
-    let (energies, informations) = (
+    let (energy_claims, information_claims) = (
         claims_on("Fig. 8", ENERGY_METRIC),
         claims_on("Fig. 7", "info_per_event"),
     );
@@ -361,16 +361,18 @@ fn marks(lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
         _ => None,
     };
     let mut marks = Vec::new();
-    for information in informations {
+    for information in information_claims {
         let is_drawn =
             |line: &&TradeOffLine<'_>| line.policy == information.policy && line.condition.is_unchanged_preset();
         let drawn = lines.iter().find(is_drawn);
-        let (Some(drawn), Some((n, y))) = (drawn, value(information, informations)) else {
+        let (Some(drawn), Some((n, y))) = (drawn, value(information, information_claims)) else {
             continue;
         };
-        let energy_claims = energies.iter().filter(|energy| energy.policy == information.policy);
-        let at_same_n = energy_claims
-            .filter_map(|energy| value(energy, energies))
+        let of_policy = energy_claims
+            .iter()
+            .filter(|energy| energy.policy == information.policy);
+        let at_same_n = of_policy
+            .filter_map(|energy| value(energy, energy_claims))
             .filter(|(claim_n, _)| *claim_n == n);
         marks.extend(at_same_n.map(|(_, x)| {
             let mark = StatedMark {

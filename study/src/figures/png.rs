@@ -11,7 +11,7 @@ use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
 pub(crate) const DPI: f64 = 300.0;
 /// Points per inch.
 const POINTS_PER_INCH: f64 = 72.0;
-/// Colour of ink.
+/// Colour of ink, the `color` of [`super::svg`] and `--ink` of the report's `page.css`.
 const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
 /// No clipping.
 const NO_CLIP: Option<&Mask> = None;

@@ -34,7 +34,8 @@ pub struct LabelledTable {
     pub digest_hash: String,
 }
 
-/// The preset, length and changed fields that runs share; their policies, N and seeds may differ.
+/// The preset, length and changed fields that runs share; their policies, N and seeds may differ. A `policy` in its
+/// methods is the name of a series, as in [`Self::policies`].
 #[derive(Clone, Debug)]
 pub struct RunCondition {
     /// Preset name.
@@ -51,7 +52,7 @@ pub struct RunCondition {
     pub actions: Option<ActionScript>,
     /// Scenario of the first run; `None` if it cannot be reconstructed, or if actions change its runs.
     pub scenario: Option<Scenario>,
-    /// Whether all runs use the preset unchanged: no field is swept or set to another value.
+    /// Whether all runs use the preset unchanged and no actions. For policies unknown here, only actions count.
     is_preset: bool,
     /// Indices in [`Results::by_ranking`] of the conditions merged into this one; empty for the conditions there.
     pub ranking_indices: Vec<usize>,
@@ -425,7 +426,7 @@ impl RunCondition {
         Some(scenario.to_toml())
     }
 
-    /// Whether the runs use the preset unchanged: nothing is swept or set to another value.
+    /// Whether the runs use the preset unchanged: nothing is swept or set to another value, and there are no actions.
     pub const fn is_unchanged_preset(&self) -> bool {
         self.is_preset
     }

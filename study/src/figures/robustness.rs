@@ -38,7 +38,7 @@ pub struct Impairment {
     pub title: &'static str,
     /// Axis label of the levels.
     pub x_label: &'static str,
-    /// Failure rates or magnitudes; the first is 0.
+    /// Failure rates or magnitudes; the first is 0, and all others are above it.
     pub levels: &'static [f64],
     /// Radio settings for a level above 0.
     radio_settings: fn(f64) -> RadioSettings,
@@ -135,7 +135,7 @@ impl RobustnessPoint {
 }
 
 /// Runs `scenarios`, one for each policy, with all levels of each of `impairments`, on all cores. Each cell has `seeds`
-/// runs, with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
+/// runs, at least 1, with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
 pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<RobustnessPoint> {
     let preparer = RunPreparer::default();
     let mut cells: Vec<(&Scenario, RadioSettings)> = scenarios

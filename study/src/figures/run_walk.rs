@@ -77,12 +77,12 @@ impl RunWalk {
         }
     }
 
-    /// Group of each device, if the policy has groups.
+    /// Group of each device, such as the cluster under `knn`; `None` if the policy has no groups.
     pub(crate) fn groups(&self) -> Option<&[u32]> {
         self.run.cycle().groups()
     }
 
-    /// Runs the next TTI. Returns it with its outcome.
+    /// Runs the next TTI. Returns it with its outcome. After the last TTI of the run it has no effect.
     pub(crate) fn step(&mut self) -> (Tti, TtiOutcome) {
         let k = self.run.cycle().next_tti();
         let mut outcome = TtiOutcome::default();
@@ -90,7 +90,7 @@ impl RunWalk {
         (k, outcome)
     }
 
-    /// Runs all TTIs up to and including `k`. Returns the outcome of the last one.
+    /// Runs all TTIs up to and including `k`, which must be in the run. Returns the outcome of the last one.
     pub(crate) fn run_through(&mut self, k: Tti) -> TtiOutcome {
         loop {
             let (tti, outcome) = self.step();

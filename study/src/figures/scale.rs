@@ -13,7 +13,7 @@ pub enum Scale {
         /// Value at the end, > `from`.
         to: f64,
     },
-    /// Logarithmic scale.
+    /// Logarithmic scale between powers of ten; ticks assume whole decades.
     Log {
         /// Value at the start, > 0.
         from: f64,

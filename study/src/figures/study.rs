@@ -301,7 +301,8 @@ impl PaperFigure {
     }
 }
 
-/// Returns the title of a figure, with its figure in the paper for an unchanged preset, or else the changed fields.
+/// Returns the title of a figure, with its figure in the paper for an unchanged preset, or else the changed fields. It
+/// begins with `subject`, by which `reveille report` orders pictures.
 pub(super) fn figure_title(subject: &str, paper_figure: &str, condition: &RunCondition) -> String {
     if condition.is_unchanged_preset() {
         return format!("{subject} ({paper_figure})");

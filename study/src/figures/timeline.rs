@@ -104,7 +104,7 @@ impl Timeline {
     }
 }
 
-/// Runs the TTIs before `end`, and calls `visit` for each of them from `from` on.
+/// Runs the TTIs before `end`, which is at most the run's length, and calls `visit` for each of them from `from` on.
 fn for_each_tti(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk, Tti, &TtiOutcome)) {
     let mut walk = RunWalk::new(scenario);
     loop {

@@ -103,7 +103,8 @@ pub fn cause_name(cause: Option<MissCause>) -> &'static str {
     cause.map_or(UNKNOWN_CAUSE, MissCause::name)
 }
 
-/// Counts causes, the most frequent first and in the order of [`MissCause::ALL`] if equally frequent.
+/// Counts causes, the most frequent first. Equally frequent ones are in the order of [`MissCause::ALL`], after unknown
+/// causes.
 fn count_causes<'e>(events: impl IntoIterator<Item = &'e MissedEvent>) -> Vec<(Option<MissCause>, u64)> {
     let order = |cause: Option<MissCause>| MissCause::ALL.iter().position(|known| Some(*known) == cause);
     let mut counts: BTreeMap<Option<usize>, (Option<MissCause>, u64)> = BTreeMap::new();
@@ -241,7 +242,7 @@ impl Misses {
         Some(advice::advice(&self.scenario, cause, counts, place, self.energy))
     }
 
-    /// Returns the mean place of the events of `cause` in the cell with most of them.
+    /// Returns the mean place of the events of `cause`, which must occur, in the cell with most of them.
     fn hot_spot(&self, cause: MissCause) -> Point {
         let grid = self.grid();
         let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
@@ -250,12 +251,12 @@ impl Misses {
         let cells = places.iter().map(|place| grid.cell(*place));
         // Of equally full cells the one farthest south-west.
         let fullest = cells.max_by_key(|cell| (counts[cell.0][cell.1], std::cmp::Reverse(*cell)));
-        let there: Vec<&Point> = places
+        let in_fullest: Vec<&Point> = places
             .iter()
             .filter(|place| Some(grid.cell(**place)) == fullest)
             .collect();
         let mean = |coordinate: fn(&Point) -> f64| {
-            there.iter().map(|place| coordinate(place)).sum::<f64>() / there.len() as f64
+            in_fullest.iter().map(|place| coordinate(place)).sum::<f64>() / in_fullest.len() as f64
         };
         Point::new(mean(|place| place.x), mean(|place| place.y))
     }

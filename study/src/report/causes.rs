@@ -42,6 +42,7 @@ pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, 
     }
     reasons.extend(sentence_on_missing_policies(claim, judgement));
     if !judgement.is_firm {
+        // `lambda` has the same sentence.
         reasons.push("Our interval crosses the limit of this verdict; more runs would decide.".to_owned());
     }
     reasons.join(" ")
@@ -142,11 +143,11 @@ mod tests {
 
     #[test]
     fn causes_name_metrics_that_exist() {
-        let named = LOWERED_BY_LOW_ENERGY
+        let names = LOWERED_BY_LOW_ENERGY
             .iter()
             .chain(&RAISED_BY_LOW_ENERGY)
             .chain([&LOW_ENERGY]);
-        for name in named {
+        for name in names {
             assert!(Metrics::NAMES.contains(name), "{name}");
         }
     }

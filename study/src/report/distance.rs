@@ -96,20 +96,20 @@ mod tests {
 
     #[test]
     fn the_deviation_is_the_largest_over_the_findings() {
-        let (two, four) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
+        let (ln_two, ln_four) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
         for (statement, values, expected) in [
             (Statement::About(10.0), vec![10.0], 0.0),
-            (Statement::About(10.0), vec![5.0], two),
-            (Statement::About(10.0), vec![5.0, 40.0], four),
+            (Statement::About(10.0), vec![5.0], ln_two),
+            (Statement::About(10.0), vec![5.0, 40.0], ln_four),
             (Statement::About(10.0), vec![0.0], f64::INFINITY),
             (Statement::About(0.0), vec![0.4], 0.0),
-            (Statement::About(0.0), vec![1.0], two),
-            (Statement::Between(2.0, 4.0), vec![3.0, 8.0], two),
+            (Statement::About(0.0), vec![1.0], ln_two),
+            (Statement::Between(2.0, 4.0), vec![3.0, 8.0], ln_two),
             (Statement::Below(2.0), vec![0.0, 1.0], 0.0),
-            (Statement::Below(2.0), vec![4.0], two),
-            (Statement::Above(2.0), vec![1.0, 9.0], two),
-            (Statement::Largest(4.0), vec![1.0, 8.0, 2.0], two),
-            (Statement::Smallest(4.0), vec![1.0, 8.0], four),
+            (Statement::Below(2.0), vec![4.0], ln_two),
+            (Statement::Above(2.0), vec![1.0, 9.0], ln_two),
+            (Statement::Largest(4.0), vec![1.0, 8.0, 2.0], ln_two),
+            (Statement::Smallest(4.0), vec![1.0, 8.0], ln_four),
             (Statement::Constant, vec![1.0, 3.0], 0.5),
             (Statement::Constant, vec![0.0, 0.0], 0.0),
             (Statement::Falls, vec![5.0, 1.0, 3.0], 0.5),

@@ -5,7 +5,8 @@ use super::judge::Finding;
 use super::phrasing::{format_estimate, format_number, join_names};
 use crate::claims::{Claim, ClaimQuantity, Statement};
 
-/// Describes the findings on `claim`: a value with its interval, or the ends over several N or policies.
+/// Describes the findings on `claim`, in ascending order of N: a value with its interval, or the ends over several N or
+/// policies.
 pub(super) fn describe_findings(claim: &Claim, findings: &[Finding]) -> String {
     match (claim.statement, findings) {
         (_, []) => String::new(),

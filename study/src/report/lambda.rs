@@ -48,16 +48,16 @@ pub(super) fn has_claims_on(condition: &RunCondition) -> bool {
 fn claim_row(
     stated: &'static StatedThreshold,
     spends_most: bool,
-    end: StatedEnd,
+    stated_end: StatedEnd,
     columns: &[ConditionColumn<'_>],
 ) -> ClaimRow {
     let rank = if spends_most { "most" } else { "least" };
     ClaimRow {
         paper_figure: stated.paper_figure,
         metric_description: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
-        policy: format!("{}, spends {rank}", end.policy),
+        policy: format!("{}, spends {rank}", stated_end.policy),
         device_counts: format!("N = {}", stated.devices),
-        stated: format!("≈ {}", format_exact(end.lambda)),
+        stated: format!("≈ {}", format_exact(stated_end.lambda)),
         citation: stated.citation,
         second_citation: None,
         metric_reason: "",
@@ -69,12 +69,17 @@ fn claim_row(
         contradicts: stated.contradicts,
         assessments: columns
             .iter()
-            .map(|column| assess(stated, spends_most, end, column))
+            .map(|column| assess(stated, spends_most, stated_end, column))
             .collect(),
     }
 }
 
-fn assess(stated: &StatedThreshold, spends_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
+fn assess(
+    stated: &StatedThreshold,
+    spends_most: bool,
+    stated_end: StatedEnd,
+    column: &ConditionColumn<'_>,
+) -> Assessment {
     let not_run = |explanation: String| Assessment {
         measured: String::new(),
         verdict: Verdict::NotRun,
@@ -83,7 +88,7 @@ fn assess(stated: &StatedThreshold, spends_most: bool, end: StatedEnd, column: &
         deviation: f64::INFINITY,
     };
     let condition = column.condition;
-    let Some(spent) = condition.estimate(end.policy, stated.devices, CONSUMPTION_METRIC) else {
+    let Some(spent) = condition.estimate(stated_end.policy, stated.devices, CONSUMPTION_METRIC) else {
         return not_run(NOT_RUN.to_owned());
     };
     let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
@@ -93,8 +98,8 @@ fn assess(stated: &StatedThreshold, spends_most: bool, end: StatedEnd, column: &
                 .to_owned(),
         );
     };
-    let mut assessment = judge_threshold((stated.e_b, tau), end, &spent);
-    let note = rank_note(condition, stated.devices, spends_most, end.policy);
+    let mut assessment = judge_threshold((stated.e_b, tau), stated_end, &spent);
+    let note = rank_note(condition, stated.devices, spends_most, stated_end.policy);
     if !note.is_empty() {
         let explanation = format!("{} {note}", assessment.explanation);
         explanation.trim_start().clone_into(&mut assessment.explanation);
@@ -136,12 +141,12 @@ fn rank_note(condition: &RunCondition, n: u32, spends_most: bool, policy: &str) 
     )
 }
 
-/// Judges the λ that `end` states by the λ from which on the harvest under Eq. (5) exceeds `spent`.
-fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment {
+/// Judges the λ that `stated_end` states by the λ from which on the harvest under Eq. (5) exceeds `spent`.
+fn judge_threshold((e_b, tau): (f64, f64), stated_end: StatedEnd, spent: &Estimate) -> Assessment {
     let StatedEnd {
         lambda: stated_lambda,
         policy,
-    } = end;
+    } = stated_end;
     // `lambdas_with_positive_net` needs a consumption above 0, but the interval may reach below it.
     let threshold = |units: f64| {
         lambdas_with_positive_net(LambdaReading::Eq5, e_b, units.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from)
@@ -177,6 +182,7 @@ fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> 
         && low.zip(high).is_some_and(|(a, b)| {
             agreement_with_value(a, stated_lambda) == agreement && agreement_with_value(b, stated_lambda) == agreement
         });
+    // `causes` has the same sentence.
     let doubt = if is_firm {
         ""
     } else {

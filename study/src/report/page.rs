@@ -1,5 +1,6 @@
 //! The report as one self-contained HTML page, with the rows and notes of [`super::markdown`]. Nothing is loaded.
-//! `page.css` styles the classes of `css_class`.
+//! `page.css` styles the classes of `css_class`. All text passes `escape`, since labels, names and experiments come
+//! from the tables.
 
 use std::fmt::Write as _;
 
@@ -71,7 +72,7 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
     out
 }
 
-/// Returns the table of contents, with a link to each section.
+/// Returns the table of contents, with a link to each section. The targets repeat the ids that [`page`] writes.
 fn contents(report: &ClaimReport<'_>) -> String {
     let link = |target: &str, text: &str| format!("<a href=\"#{target}\">{}</a>", escape(text));
     let figures: Vec<String> = report

@@ -64,12 +64,12 @@ pub fn fill_page(text: &str, sections: &[PageSection]) -> Result<String, PageSec
         out.push('\n');
         let name = line
             .strip_prefix("<!-- report ")
-            .and_then(|rest| rest.strip_suffix(" -->"));
+            .and_then(|name| name.strip_suffix(" -->"));
         let section = name.and_then(|name| sections.iter().find(|section| section.name == name));
         let Some(section) = section else { continue };
-        let end = format!("<!-- /report {} -->", section.name);
+        let end_mark = format!("<!-- /report {} -->", section.name);
         // `any` also consumes the lines up to the end mark, which the new body replaces.
-        if !lines.any(|(_, line)| line == end) {
+        if !lines.any(|(_, line)| line == end_mark) {
             return Err(PageSectionError::MissingEndMark {
                 line: line_number,
                 name: section.name.to_owned(),
@@ -79,7 +79,7 @@ pub fn fill_page(text: &str, sections: &[PageSection]) -> Result<String, PageSec
         out.push('\n');
         out.push_str(section.body.trim());
         out.push_str("\n\n");
-        out.push_str(&end);
+        out.push_str(&end_mark);
         out.push('\n');
     }
     if filled == 0 {

@@ -355,7 +355,7 @@ fn read_index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, Recordi
             None => break,
         }
     }
-    Ok(reader.finish().filter(|summary| summary.stats.is_some()))
+    Ok(reader.finish().filter(|index| index.stats.is_some()))
 }
 
 /// Reads the summary of the run through the index.
@@ -383,13 +383,13 @@ fn read_summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Optio
     }
 }
 
-/// Describes a container error with its sources.
+/// Describes a container error with its causes.
 fn error_chain(error: &McapError) -> String {
     let mut text = error.to_string();
-    let mut source = std::error::Error::source(error);
-    while let Some(inner) = source {
+    let mut cause = std::error::Error::source(error);
+    while let Some(inner) = cause {
         text = format!("{text}: {inner}");
-        source = inner.source();
+        cause = inner.source();
     }
     text
 }

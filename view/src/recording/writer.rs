@@ -44,6 +44,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES));
         let mut mcap = mcap::Writer::with_options(out, options)?;
+        // `reader` looks up these keys.
         let metadata = [
             ("recording", VERSION.to_string()),
             ("wire", WIRE_VERSION.to_string()),

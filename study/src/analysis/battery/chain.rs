@@ -89,21 +89,21 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
         off: transition_matrix(lattice, input, lattice.e_wur),
         input: *input,
     };
-    let n = lattice.levels();
-    let mut levels_now = DVector::from_element(n, 1.0 / n as f64);
-    let mut buffer = DVector::zeros(n);
+    let level_count = lattice.levels();
+    let mut distribution = DVector::from_element(level_count, 1.0 / level_count as f64);
+    let mut buffer = DVector::zeros(level_count);
     let mut transitions_to_steady_state = 0;
     loop {
-        let levels_before = levels_now.clone();
-        cycle.advance_cycle(&mut levels_now, &mut buffer, |_| {});
+        let previous = distribution.clone();
+        cycle.advance_cycle(&mut distribution, &mut buffer, |_| {});
         transitions_to_steady_state += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
-        let residual = (&levels_now - &levels_before).lp_norm(1);
+        let residual = (&distribution - &previous).lp_norm(1);
         if residual <= STEADY_RESIDUAL {
             // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
             // TTI.
-            let mut sum = DVector::zeros(n);
-            cycle.advance_cycle(&mut levels_now, &mut buffer, |end| sum += end);
+            let mut sum = DVector::zeros(level_count);
+            cycle.advance_cycle(&mut distribution, &mut buffer, |at_tti_end| sum += at_tti_end);
             let levels = sum / f64::from(input.t_drx);
             return Ok(SteadyState {
                 levels: levels.iter().copied().collect(),
@@ -129,19 +129,19 @@ struct CycleMatrices {
 }
 
 impl CycleMatrices {
-    /// Advances the distribution `levels` by one cycle, and passes it to `visit` at the end of each TTI. `buffer` has
-    /// the length of `levels`; its content does not matter.
+    /// Advances the `distribution` over levels by one cycle, and passes it to `visit` at the end of each TTI. `buffer`
+    /// has the same length; its content does not matter.
     fn advance_cycle(
         &self,
-        levels: &mut DVector<f64>,
+        distribution: &mut DVector<f64>,
         buffer: &mut DVector<f64>,
         mut visit: impl FnMut(&DVector<f64>),
     ) {
         for phase in 0..self.input.t_drx {
             let matrix = if phase < self.input.t_on { &self.on } else { &self.off };
-            spmm_csr_dense(0.0, &mut *buffer, 1.0, Op::NoOp(matrix), Op::NoOp(&*levels));
-            std::mem::swap(levels, buffer);
-            visit(levels);
+            spmm_csr_dense(0.0, &mut *buffer, 1.0, Op::NoOp(matrix), Op::NoOp(&*distribution));
+            std::mem::swap(distribution, buffer);
+            visit(distribution);
         }
     }
 }

@@ -62,10 +62,10 @@ fn printed_sum(e: f64, m: u64, p: f64) -> f64 {
 fn binomial_term(b: u64, e: u64, p: f64) -> f64 {
     let ln_factorial = |n: u64| ln_gamma(n as f64 + 1.0);
     // 0⁰ is 1, as in the printed formula with P = 0 or 1; 0 · ln 0 would be NaN.
-    let power = |base: f64, n: u64| if n == 0 { 0.0 } else { n as f64 * libm::log(base) };
+    let ln_power = |base: f64, n: u64| if n == 0 { 0.0 } else { n as f64 * libm::log(base) };
     // Uses logarithms, since the factorials overflow from 171! on.
     let ln_choose = ln_factorial(b) - ln_factorial(e) - ln_factorial(b - e);
-    libm::exp(ln_choose + power(p, e) + power(1.0 - p, b - e))
+    libm::exp(ln_choose + ln_power(p, e) + ln_power(1.0 - p, b - e))
 }
 
 fn sum_by_beta(e: f64, m: u64, p: f64) -> f64 {

@@ -31,7 +31,8 @@ pub struct SampleConfig {
     pub warm_up: u64,
 }
 
-/// Counts the TTIs by battery level at their end, one vector for each device.
+/// Counts the TTIs by battery level at their end, one vector for each device. [`super::compare`] has checked `input`
+/// and `sample`.
 pub(super) fn count_levels(
     model: &EnergyModel,
     e_b: Energy,

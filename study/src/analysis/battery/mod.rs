@@ -107,7 +107,7 @@ pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError>
     let distance: f64 = by_chain.iter().zip(&by_devices).map(|(a, b)| (a - b).abs()).sum();
     let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin_width);
     let availability = |threshold: Energy| study.availability(&lattice, threshold, &steady, &shares);
-    let mean = |levels: &[f64]| mean_level(levels) / lattice.quanta_per_unit as f64;
+    let mean = |probabilities: &[f64]| mean_level(probabilities) / lattice.quanta_per_unit as f64;
     Ok(BatteryComparison {
         lattice,
         arrival: chain_input.arrival,
@@ -201,14 +201,14 @@ impl LevelBins {
         })
     }
 
-    fn sum_levels(&self, levels: &[f64]) -> Vec<f64> {
+    fn sum_levels(&self, probabilities: &[f64]) -> Vec<f64> {
         // Bins rise with levels, so the last level has the last bin.
         let last = self.bin_of_level.last().copied().unwrap_or_default();
-        let mut bins = vec![0.0; last + 1];
-        for (bin, probability) in self.bin_of_level.iter().zip(levels) {
-            bins[*bin] += probability;
+        let mut sums = vec![0.0; last + 1];
+        for (bin, probability) in self.bin_of_level.iter().zip(probabilities) {
+            sums[*bin] += probability;
         }
-        bins
+        sums
     }
 }
 
@@ -218,8 +218,12 @@ fn shares_of_counts(counts: &[u64]) -> Vec<f64> {
 }
 
 /// Σ level · probability, quanta.
-fn mean_level(levels: &[f64]) -> f64 {
-    levels.iter().enumerate().map(|(level, p)| level as f64 * p).sum()
+fn mean_level(probabilities: &[f64]) -> f64 {
+    probabilities
+        .iter()
+        .enumerate()
+        .map(|(level, p)| level as f64 * p)
+        .sum()
 }
 
 #[cfg(test)]

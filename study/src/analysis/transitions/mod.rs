@@ -74,11 +74,12 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
                            so does the count; leave out the fields of `radio`";
         return Err(AnalysisError::invalid("radio", &"impaired", requirement));
     }
-    let runs = map_seeds(scenario, seeds, |one| {
-        let deployment = Deployment::new(one);
-        let (counts, duties) = measured::count_run(one, &deployment);
-        let terms = closed_form::device_terms(one, &deployment.positions(), &duties, &closed_form::device_classes(one));
-        let printed: Vec<_> = terms.iter().map(|t| evaluate_printed(t, one.events.alpha)).collect();
+    let runs = map_seeds(scenario, seeds, |seeded| {
+        let deployment = Deployment::new(seeded);
+        let (counts, duties) = measured::count_run(seeded, &deployment);
+        let classes = closed_form::device_classes(seeded);
+        let terms = closed_form::device_terms(seeded, &deployment.positions(), &duties, &classes);
+        let printed: Vec<_> = terms.iter().map(|t| evaluate_printed(t, seeded.events.alpha)).collect();
         (counts, duties, printed)
     });
     let mut pooled = TransitionCounts::default();
@@ -89,16 +90,19 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
     let transition = |(index, (from, to)): (usize, (usize, usize))| {
         let values: Vec<f64> = runs
             .iter()
-            .flat_map(|(.., all)| all.iter().map(move |p| p[index]))
+            .flat_map(|(.., printed)| printed.iter().map(move |p| p[index]))
             .collect();
-        let proper = values.iter().copied().filter(|v| !v.is_nan());
+        let defined = values.iter().copied().filter(|v| !v.is_nan());
         let (count, visits) = (pooled.get(from, to), pooled.visits(from));
         Transition {
             from,
             to,
-            printed: Estimate::from_values_or_nan(proper.clone()).mean,
+            printed: Estimate::from_values_or_nan(defined.clone()).mean,
             // `min` and `max` ignore NaN, so NaN remains only if the form is 0/0 for all devices.
-            printed_range: (proper.clone().fold(f64::NAN, f64::min), proper.fold(f64::NAN, f64::max)),
+            printed_range: (
+                defined.clone().fold(f64::NAN, f64::min),
+                defined.fold(f64::NAN, f64::max),
+            ),
             improper_count: values.iter().filter(|v| !is_probability(**v)).count(),
             share_by_duty: share_by_duty(&duties, from, to),
             count,

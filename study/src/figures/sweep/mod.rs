@@ -122,8 +122,8 @@ impl SweepFigureSpec {
     /// Checks all fields and returns the points that pass the filter and have a value of the field along x.
     fn select_points<'r>(&self, points: Vec<SweepPoint<'r>>) -> Result<Vec<SweepPoint<'r>>, FigureError> {
         let check_field = |field: &str| {
-            let is_there = points.iter().any(|point| point.value(field).is_some());
-            is_there.then_some(()).ok_or_else(|| FigureError::UnknownField {
+            let is_known = points.iter().any(|point| point.value(field).is_some());
+            is_known.then_some(()).ok_or_else(|| FigureError::UnknownField {
                 name: field.to_owned(),
                 known: fields(&points).join(", "),
             })
@@ -146,15 +146,15 @@ impl SweepFigureSpec {
             }
         }
         let is_wanted = |point: &SweepPoint<'_>| {
-            let mut conditions = self.filter.iter();
-            conditions.all(|(field, value)| is_value(point.value(field), value)) && point.value(&self.x_field).is_some()
+            let mut filters = self.filter.iter();
+            filters.all(|(field, value)| is_value(point.value(field), value)) && point.value(&self.x_field).is_some()
         };
         let points: Vec<SweepPoint<'r>> = points.into_iter().filter(is_wanted).collect();
         if points.is_empty() {
-            let conditions = self.filter.iter().map(|(field, value)| format!("{field} = {value}"));
+            let filters = self.filter.iter().map(|(field, value)| format!("{field} = {value}"));
             return Err(FigureError::NoMatchingRun {
                 x: self.x_field.clone(),
-                only: conditions.collect::<Vec<_>>().join(", "),
+                only: filters.collect::<Vec<_>>().join(", "),
             });
         }
         if let Some(non_numeric) = points.iter().find(|point| point.number(&self.x_field).is_none()) {

@@ -68,14 +68,17 @@ pub(super) fn points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoi
 }
 
 fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String)> {
-    let own = [
+    let of_every_cell = [
         ("preset", condition.preset.clone()),
         (POLICY, policy.to_owned()),
         (DEVICES, n.to_string()),
         ("ttis", condition.ttis.to_string()),
     ];
-    let own = own.map(|(field, value)| (field.to_owned(), value)).into_iter();
-    own.chain(condition.all_changes().cloned())
+    let of_every_cell = of_every_cell
+        .map(|(field, value)| (field.to_owned(), value))
+        .into_iter();
+    of_every_cell
+        .chain(condition.all_changes().cloned())
         .chain(condition.table_changes())
         .collect()
 }

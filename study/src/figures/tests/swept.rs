@@ -70,9 +70,9 @@ fn tables_of_different_rankings_share_a_figure() {
         row.swept = std::sync::Arc::from([]);
         row.digest = Hash([9; 32]);
     }
-    let both = Results::new(&[p42, ("b".to_owned(), posterior.clone())], &NoFiles).expect("runs");
-    assert_eq!(both.conditions.len(), 1);
-    assert_eq!(both.conditions[0].policies(), ["knn", "knn+posterior"]);
+    let merged = Results::new(&[p42, ("b".to_owned(), posterior.clone())], &NoFiles).expect("runs");
+    assert_eq!(merged.conditions.len(), 1);
+    assert_eq!(merged.conditions[0].policies(), ["knn", "knn+posterior"]);
     let alone = Results::new(&[("b".to_owned(), posterior)], &NoFiles).expect("runs");
     assert_eq!(alone.conditions[0].policies(), ["knn"], "one ranking needs no label");
     assert_eq!(alone.conditions[0].label(), "paper, bs.ranking = posterior");

@@ -89,7 +89,7 @@ impl Agreement {
         }
     }
 
-    /// Computes the agreement with a statement on several N together.
+    /// Computes the agreement with a statement on several N together. `row` is not empty and in ascending order of N.
     fn over_all_n(statement: Statement, row: &[Finding]) -> Self {
         match statement {
             Statement::Largest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::max)),
@@ -126,7 +126,7 @@ impl Agreement {
     /// Computes the agreement with a falling trend from the first to the last, after `sign` is applied to the values:
     /// the identity for a falling trend, the negation for a rising one.
     fn trend(row: &[Finding], sign: fn(f64) -> f64) -> Self {
-        let ends = |f: &Finding| {
+        let signed_limits = |f: &Finding| {
             let (a, b) = (sign(f.low), sign(f.high));
             (a.min(b), a.max(b))
         };
@@ -152,7 +152,7 @@ impl Agreement {
         };
         let mean = |f: &Finding| sign(f.value);
         let of_means = agreement_if(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
-        let (low, high) = (|f: &Finding| ends(f).0, |f: &Finding| ends(f).1);
+        let (low, high) = (|f: &Finding| signed_limits(f).0, |f: &Finding| signed_limits(f).1);
         Self {
             of_means,
             // `allowed` follows from the means alone, so `worst` and `best` are clamped to their sides of `of_means`.

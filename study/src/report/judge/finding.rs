@@ -7,7 +7,7 @@ use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
 use crate::figures::paired::{difference, paired_half_width};
 use crate::figures::results::RunCondition;
 
-/// Largest value that counts as 0, as a share of the largest of the other policies' means.
+/// Largest value that counts as 0, as a share of the largest of the other policies' means. Part of rule 2 in [`super`].
 const ZERO_SHARE: f64 = 0.01;
 
 /// Our value of a claim's quantity at one N, against one policy if the claim compares policies.
@@ -58,7 +58,7 @@ impl TopicRuns<'_> {
         let Some(own) = self.metric_estimate(claim.policy, n) else {
             return Vec::new();
         };
-        let base = Finding {
+        let mean_finding = Finding {
             n,
             other_policy: None,
             value: own.estimate.mean,
@@ -70,7 +70,7 @@ impl TopicRuns<'_> {
         match claim.quantity {
             ClaimQuantity::Mean => vec![Finding {
                 metric_estimate: Some(own),
-                ..base
+                ..mean_finding
             }],
             ClaimQuantity::Ratio(others) => {
                 let ratio_to = |other: &&'static str| {
@@ -82,7 +82,7 @@ impl TopicRuns<'_> {
                         value,
                         low,
                         high,
-                        ..base
+                        ..mean_finding
                     })
                 };
                 others.iter().filter_map(ratio_to).collect()
@@ -95,7 +95,7 @@ impl TopicRuns<'_> {
                         value,
                         low,
                         high,
-                        ..base
+                        ..mean_finding
                     }
                 });
                 gap.into_iter().collect()
@@ -108,7 +108,7 @@ impl TopicRuns<'_> {
                         value,
                         low,
                         high,
-                        ..base
+                        ..mean_finding
                     }
                 });
                 growth.into_iter().collect()

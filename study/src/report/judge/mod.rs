@@ -72,7 +72,7 @@ pub struct Judgement {
     /// Our findings, in ascending order of N, and at each N in the order of the compared policies.
     pub findings: Vec<Finding>,
     /// Policies of the order comparison: N, the policy, and whether our order equals the paper's. Empty if rules 1 to 3
-    /// decide.
+    /// decide or no policy can be compared.
     pub order_checks: Vec<(u32, &'static str, bool)>,
 }
 

@@ -121,8 +121,9 @@ fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<
     let own = ranges_of_policy(topic, claim.policy, n);
     for other_policy in topic.claims.iter().map(|c| c.policy).filter(|p| *p != claim.policy) {
         let theirs = ranges_of_policy(topic, other_policy, n);
-        let all = |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
-        let (is_lower, is_higher) = (all(|a, b| a.1 < b.0), all(|a, b| b.1 < a.0));
+        let all_pairs =
+            |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
+        let (is_lower, is_higher) = (all_pairs(|a, b| a.1 < b.0), all_pairs(|a, b| b.1 < a.0));
         if !own.is_empty() && !theirs.is_empty() && is_lower != is_higher {
             add(other_policy, is_lower);
         }

@@ -38,10 +38,11 @@ pub fn markdown(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> 
 
 /// Renders the search as sections of a page, with the first `count` conditions and the presets.
 pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
+    // The text of a section from below its heading on.
     let untitled = |text: String| {
         demote_headings(
             text.split_once("## ")
-                .and_then(|(_, rest)| rest.split_once('\n'))
+                .and_then(|(_, section)| section.split_once('\n'))
                 .map_or("", |(_, body)| body),
         )
     };
@@ -168,8 +169,8 @@ fn ranking_table(ranking: &ConditionRanking<'_>, count: usize) -> String {
     match ranking.conditions.len() - shown.len() {
         0 => {}
         1 => out.push_str("\nOne more condition is not shown.\n"),
-        rest => {
-            let _ = writeln!(out, "\n{rest} more conditions are not shown.");
+        hidden => {
+            let _ = writeln!(out, "\n{hidden} more conditions are not shown.");
         }
     }
     out
