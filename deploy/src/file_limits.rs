@@ -28,7 +28,7 @@ pub(crate) fn ensure_for_station(processes: u32) -> anyhow::Result<()> {
     let plural = if processes == 1 { "" } else { "es" };
     bail!(
         "this process may have {allowed} files open, and a base station with {processes} device process{plural} needs \
-         {needed}; raise the limit (`ulimit -n {needed}`, LimitNOFILE= of a service){advice}"
+         {needed}; raise the hard limit (as root with `ulimit -n {needed}`, LimitNOFILE= of a service){advice}"
     )
 }
 

@@ -181,7 +181,7 @@ pub(crate) fn read_nonempty(path: &Path, scenario: &Scenario) -> anyhow::Result<
     let inputs = read(path, scenario)?;
     anyhow::ensure!(
         inputs != ExternalInputs::default(),
-        "{}: the input log is empty; use the inputs.log of a run folder",
+        "{}: the input log holds no inputs; use the inputs.log of a run with decisions, actions or removals",
         path.display()
     );
     Ok(inputs)

@@ -472,12 +472,12 @@ fn an_invalid_input_log_is_refused() {
             "line 1, column 23: invalid input log entry",
         ),
         // The start of a first line, as a kill can leave it.
-        ("{\"inputs\":{\"version\":2", "the input log is empty"),
+        ("{\"inputs\":{\"version\":2", "the input log holds no inputs"),
         (
             "{\"inputs\":{\"version\":2,\"scenario_hash\":\"00\"}}",
             "another scenario or seed",
         ),
-        ("", "the input log is empty"),
+        ("", "the input log holds no inputs"),
     ] {
         folder.write("some.log", content);
         for option in ["--input-log some.log", "--policy replay=some.log"] {

@@ -91,7 +91,7 @@ fn the_suggested_file_limit_is_enough() {
     assert_eq!(bs.finish().summary().digest(), expected.digest());
 }
 
-/// Checks a refusal that leaves no run folder `out`, or one that is marked as failed.
+/// Checks a refusal that leaves no run folder `out`, or one that is neither active nor finished.
 fn assert_refused_without_run(folder: &TestFolder, finished: &FinishedProcess, parts: &[&str]) {
     assert_refused(finished, 1, parts);
     let left = folder.list("out");

@@ -434,7 +434,7 @@ fn invalid_policy_options_are_refused_before_a_folder_exists() {
         ),
         (
             format!("run {SHORT_RUN} --policy replay=empty.log"),
-            "the input log is empty",
+            "the input log holds no inputs",
         ),
     ];
     for (command, why) in cases {

@@ -404,7 +404,7 @@ pub struct Section {
     pub about: &'static str,
     /// The fields in the order in which a file shows them.
     pub fields: &'static [Field],
-    /// The setting under which the fields have an effect.
+    /// The setting under which the fields have an effect, except fields with their own; `None` if they always have one.
     pub only_with: Option<FieldCondition>,
 }
 

@@ -14,7 +14,7 @@ use crate::state::{DeviceState, DeviceView};
 use crate::units::Energy;
 
 /// The largest number of devices that the text of a plan names.
-const MAX_DEVICES_SHOWN: usize = 8;
+const MAX_NAMED_DEVICES: usize = 8;
 
 /// Air, BS → all devices: the δ plan from a TTI on, sent when it changes and for synchronisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,10 +46,10 @@ impl fmt::Display for PlanUpdate {
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
             Plan::Periodic(_) => write!(f, "{count} of {entries} devices sense first")?,
         }
-        for (nth, device) in on().take(MAX_DEVICES_SHOWN).enumerate() {
+        for (nth, device) in on().take(MAX_NAMED_DEVICES).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;
         }
-        f.write_str(if count > MAX_DEVICES_SHOWN { " …" } else { "" })
+        f.write_str(if count > MAX_NAMED_DEVICES { " …" } else { "" })
     }
 }
 

@@ -60,7 +60,8 @@ pub(crate) struct DtArgs {
     /// Replace the output file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// Preset name or TOML file; its fields policy.dt.memory, width and heads set the shape of the model.
+    /// Preset name or TOML file for the shape of the model. Only its fields policy.dt.memory, width and heads are used;
+    /// the training data are the trajectories.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
     /// Override one scenario field, for example --set policy.dt.memory=4. May be repeated.

@@ -391,7 +391,7 @@ impl Machine {
         }
     }
 
-    /// Goes to S2 and back to S4 without a detection.
+    /// Wakes for nothing, at a false or a late wake-up: goes to S2 and back to S4.
     fn wake_without_detection(&mut self) -> WakeOutcome {
         let payment = self.battery.pay(self.costs.e_idle);
         self.ledger_builder.record_false_wake_up(payment);

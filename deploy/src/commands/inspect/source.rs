@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use reveille_bs::cycle::PreparedRun;
+use reveille_bs::policy::outside;
 use reveille_bs::scenario::Scenario;
 use reveille_common::declare::describe_read_error;
 use reveille_common::ids::Tti;
@@ -18,7 +19,9 @@ use crate::cli::TargetArgs;
 use crate::display::note;
 use crate::exit::InvalidUsage;
 use crate::folder_lock::{FolderStatus, status};
+use crate::input_log::INPUT_LOG_FILE;
 use crate::run_folder::SCENARIO_FILE;
+use crate::run_reader::RunReader;
 
 /// Extension of recordings.
 const RECORDING_EXTENSION: &str = "mcap";
@@ -41,6 +44,19 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
         note!("{}: still being written; reading the messages so far", path_text());
     }
     RecordingReader::open(BufReader::new(file)).with_context(path_text)
+}
+
+/// Returns the options of `reveille run` that repeat the run in `folder`, with its external inputs.
+fn repeating_options(folder: &Path) -> anyhow::Result<String> {
+    let run = RunReader::open(folder)?;
+    let folder = folder.display();
+    Ok(if outside::is_external(&run.scenario.policy) {
+        format!("--policy replay={folder}")
+    } else if run.path().join(INPUT_LOG_FILE).exists() {
+        format!("--scenario {folder}/{SCENARIO_FILE} --input-log {folder}/{INPUT_LOG_FILE}")
+    } else {
+        format!("--scenario {folder}/{SCENARIO_FILE}")
+    })
 }
 
 /// Returns `path`, or for a folder the only recording in it.
@@ -68,8 +84,9 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
             bail!("{folder}: the folder holds no recording; leave it out to observe the active run")
         }
         ([], true) => bail!(
-            "{folder}: the folder holds no recording; create one with `reveille run --scenario \
-             {folder}/{SCENARIO_FILE} --record {folder}/run.{RECORDING_EXTENSION}`"
+            "{folder}: the folder holds no recording; create one with `reveille run {} --record \
+             {folder}/run.{RECORDING_EXTENSION}`",
+            repeating_options(path)?
         ),
         ([first, ..], _) => bail!(
             "{folder}: the folder holds {} recordings; name one of them, such as {}",
