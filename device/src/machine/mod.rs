@@ -391,7 +391,7 @@ impl Machine {
         }
     }
 
-    /// Wakes for nothing, at a false or a late wake-up: goes to S2 and back to S4.
+    /// Enters S2 and returns to S4 without a report, after a false or a late wake-up.
     fn wake_without_detection(&mut self) -> WakeOutcome {
         let payment = self.battery.pay(self.costs.e_idle);
         self.ledger_builder.record_false_wake_up(payment);

@@ -93,7 +93,7 @@ function receiveLive(now) {
   if (isCalm && !now.over && performance.now() < receivedAt + CALM_INTERVAL) return;
   receivedAt = performance.now();
   receive(now);
-  // The program ends soon after the run, so the curves and the device are read a last time at once.
+  // The program ends soon after the run: read the curves and the device a last time at once.
   if (now.over) refreshOften();
 }
 
