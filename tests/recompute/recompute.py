@@ -130,6 +130,8 @@ def check(folder: Path) -> int:
     is_drawn = scenario["events"].get("process", "uniform") == "bursts"
     alpha = summary["start_probability"] if is_drawn else scenario["events"]["alpha"]
     computed = event_metrics(events, alpha, ttis) | device_metrics(devices, ttis)
+    spent = computed["energy_per_device_tti"] * len(devices) * ttis
+    computed["info_per_energy"] = ratio(computed["info_p1"] * alpha * ttis, spent)
     differences = [
         f"{folder}: {name} is {summary['metrics'][name]} in the summary and {value} from the tables"
         for name, value in computed.items()

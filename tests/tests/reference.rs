@@ -226,6 +226,14 @@ fn check_metrics(
     );
     let mut rows = information_metrics(&counted, &reported, run.start_probability * ttis);
     rows.extend(energy_metrics(run, n, ttis));
+    let information: f64 = counted
+        .iter()
+        .map(|record| record.tally.information_pico as f64 * 1e-12)
+        .sum();
+    let spent = |ledger: &Ledger| ledger.measured.spent.total().units();
+    let energy: f64 = run.ledgers.iter().map(spent).sum();
+    let efficiency = if energy > 0.0 { information / energy } else { f64::NAN };
+    rows.push(("info_per_energy", efficiency));
     rows.extend([
         (
             "wake_up_span_ttis",

@@ -240,6 +240,11 @@ metrics! {
         /// Energy spent, mean over devices and TTIs; the sum of the next three metrics.
         energy_per_device_tti: "units", "units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.total());
+        /// Σ I_i / energy spent by all devices; undefined if they spent none.
+        info_per_energy: "information/unit", "information per unit of energy" = |run| {
+            let spent = run.totals.energy.spent.total().units();
+            if spent > 0.0 { run.information() / spent } else { f64::NAN }
+        };
         /// Energy spent in S1, Eq. (4), including energy drained by failed attempts.
         energy_sensing_per_device_tti: "units", "units in S1 per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sensing);
@@ -359,8 +364,9 @@ impl Metrics {
         ("false_wakes_pct", "false_wake_ups_pct"),
     ];
 
-    /// The metrics that result tables of versions 1 and 2 do not have.
-    pub const ADDED_IN_TABLE_3: [&str; MissCause::COUNT] = [
+    /// The metrics that result tables of earlier versions do not have: the causes of missed events before version 3,
+    /// `info_per_energy` before version 4.
+    pub const ADDED_LATER: [&str; MissCause::COUNT + 1] = [
         "missed_out_of_reach_pct",
         "missed_removed_pct",
         "missed_undetected_pct",
@@ -369,6 +375,7 @@ impl Metrics {
         "missed_wake_missed_pct",
         "missed_no_energy_pct",
         "missed_lost_pct",
+        "info_per_energy",
     ];
 
     /// Returns today's name of the metric that once had this name; any other name stays as it is.

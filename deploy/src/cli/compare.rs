@@ -15,8 +15,8 @@ pub(crate) struct CompareArgs {
     /// Reference policy within sweeps; the other policies are compared with it [default: the first of the table].
     #[arg(long, value_name = "POLICY", help_heading = "Sweeps")]
     pub against: Option<String>,
-    /// Metrics of sweeps, separated by commas [default: info_p1, misdetection_pct, detection_delay_ttis and
-    /// energy_per_device_tti].
+    /// Metrics of sweeps, separated by commas [default: info_p1, misdetection_pct, detection_delay_ttis,
+    /// energy_per_device_tti and info_per_energy].
     #[arg(
         long,
         value_delimiter = ',',

@@ -125,7 +125,7 @@ pub(super) struct FileColumns {
 
 impl FileColumns {
     /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have former
-    /// names, and the metrics of version 3 may be absent.
+    /// names, and metrics that were added later may be absent.
     pub(super) fn of_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
         let metric_index = |name: &str| {
             let name = Metrics::current_name(name);
@@ -146,7 +146,7 @@ impl FileColumns {
         let metrics: Option<Vec<usize>> = metric_names.iter().map(|name| metric_index(name)).collect();
         let metrics = metrics.ok_or_else(mismatch)?;
         let is_present =
-            |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_IN_TABLE_3.contains(name);
+            |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_LATER.contains(name);
         if header.starts_with(&IDENTITY_COLUMNS)
             && header.ends_with(&TRAILING_COLUMNS)
             && metrics.is_sorted_by(|a, b| a < b)
@@ -168,7 +168,7 @@ fn columns_mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
         return SchemaMismatch::NotOurs;
     }
     let names: Vec<&str> = found.iter().map(|name| Metrics::current_name(name)).collect();
-    let is_missing = |name: &&&str| !names.contains(*name) && !Metrics::ADDED_IN_TABLE_3.contains(*name);
+    let is_missing = |name: &&&str| !names.contains(*name) && !Metrics::ADDED_LATER.contains(*name);
     let missing = expected.iter().find(is_missing);
     SchemaMismatch::Columns(missing.map_or_else(
         || "its columns are in another order".to_owned(),

@@ -7,7 +7,7 @@ use reveille_common::declare::describe_read_error;
 
 /// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
 /// metrics, and version 2, without the causes of missed events, are still read.
-pub(crate) const TABLE_VERSION: u32 = 3;
+pub(crate) const TABLE_VERSION: u32 = 4;
 
 /// A reason why a result table cannot be read or written.
 #[derive(Debug, thiserror::Error)]

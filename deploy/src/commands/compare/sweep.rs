@@ -21,11 +21,12 @@ use crate::exit::{ExitReason, InvalidUsage};
 use crate::run_folder::SCENARIO_FILE;
 
 /// Metrics that are compared by default; the help of `--metric` repeats them.
-const METRICS: [&str; 4] = [
+const METRICS: [&str; 5] = [
     "info_p1",
     "misdetection_pct",
     "detection_delay_ttis",
     "energy_per_device_tti",
+    "info_per_energy",
 ];
 
 /// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording. `lab/src/sweep/`
