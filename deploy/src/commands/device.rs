@@ -14,9 +14,9 @@ use crate::exit::ExitReason;
 use crate::signals::{SignalMode, Signals};
 use crate::{child_process, file_limits, key};
 
-/// Time for which a child of `up` waits to join and for a lost base station: in effect unlimited, since it ends with
-/// its parent.
-const CHILD_PATIENCE: Duration = Duration::from_hours(24 * 365);
+/// Time for which the devices of `up` wait to join and for a lost base station: in effect unlimited, since it ends with
+/// the base station's process.
+pub(super) const CHILD_PATIENCE: Duration = Duration::from_hours(24 * 365);
 
 /// Runs devices to the end of a run.
 pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {

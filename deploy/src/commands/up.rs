@@ -12,11 +12,11 @@ use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostConfig, HostError};
 
 use super::bs::{Service, check_watchers, serve_run, server_settings};
+use super::device::CHILD_PATIENCE;
 use super::resolve_scenario::resolve_started_run;
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
-use crate::exit::ExitReason;
 use crate::policy_source::policy_source;
 use crate::run_folder::RunFolder;
 use crate::signals::{SignalMode, Signals};
@@ -104,7 +104,7 @@ async fn serve_with_devices(
             max_devices: devices,
             name: "the base station's own process".to_owned(),
             key: service.settings.run_key,
-            patience: JOIN_TIMEOUT,
+            patience: CHILD_PATIENCE,
             // With a single host there are no devices to take over.
             stands_by: false,
             // A tuned host handles messages on the thread that delivers them, if its devices are few.
@@ -112,10 +112,7 @@ async fn serve_with_devices(
         };
         let host_task = tokio::spawn(async move { host::run_host(&host_bus, host_config, &|_| {}).await });
         let code = serve_run(service, folder, |_| {}).await;
-        if code
-            .as_ref()
-            .is_err_and(|error| ExitReason::from_error(error) == ExitReason::Interrupted)
-        {
+        if code.is_err() && !host_task.is_finished() {
             // The devices would wait to join a run that never starts, or for a base station that has ended.
             host_task.abort();
             return code;
@@ -123,6 +120,7 @@ async fn serve_with_devices(
         return match host_task.await.context("the devices' task")? {
             // `code` already has the error that the base station sent to the devices.
             Ok(()) | Err(HostError::RunFailed(_)) => code,
+            // The devices have ended first: their error is the cause of the base station's.
             Err(error) => Err(error.into()),
         };
     }
