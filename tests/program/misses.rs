@@ -164,3 +164,27 @@ fn a_table_without_the_columns_is_refused_also_without_rows() {
     assert_refused(&folder.run("inspect misses r"), 1, &[cause]);
     assert_refused(&folder.run("figures misses r --out f"), 1, &[cause]);
 }
+
+#[test]
+fn the_actions_of_a_run_are_named() {
+    let folder = TestFolder::new();
+    folder.write("a.txt", "1200 fail 0-9\n2500 revive 0-9\n");
+    let run = "run --quiet -n 20 -k 3000 --policy random --actions a.txt --out r";
+    assert!(folder.run(run).is_success());
+    let later = count_missed(&folder, "r")
+        .iter()
+        .filter(|(.., start)| *start >= 1200)
+        .count();
+    let report = report(&folder, "r");
+    assert_eq!(report["missed_after_first_action"], later);
+    assert_eq!(
+        report["first_actions"],
+        serde_json::json!(["TTI 1200 fail 0-9", "TTI 2500 revive 0-9"])
+    );
+    let text = folder.run("inspect misses r").stdout;
+    assert!(
+        text.contains("2 actions: TTI 1200 fail 0-9, TTI 2500 revive 0-9"),
+        "{text}"
+    );
+    assert!(text.contains(&format!("{later} of the missed")), "{text}");
+}

@@ -63,7 +63,7 @@ impl TimelineCursor {
         let end = span.ttis().1;
         let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add(tti, views, e_max));
         *self.lock() = Some(snapshot_near_end);
-        cells.encode(request.from, end, request.step)
+        cells.encode(end)
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Option<ResumeSnapshot>> {
@@ -78,7 +78,9 @@ struct Cells {
     columns: usize,
     rows: usize,
     flags: Vec<u8>,
-    /// TTIs in S1.
+    /// Available TTIs of each column.
+    column_ttis: Vec<u32>,
+    /// TTIs in S1 of each cell.
     sensing_ttis: Vec<u32>,
     batteries: Vec<u8>,
 }
@@ -94,6 +96,7 @@ impl Cells {
             columns,
             rows,
             flags: vec![0; cells],
+            column_ttis: vec![0; columns],
             sensing_ttis: vec![0; cells],
             batteries: vec![0; cells],
         }
@@ -130,6 +133,8 @@ impl Cells {
     }
 
     fn add(&mut self, tti: Tti, views: &[DeviceView], e_max: Energy) {
+        let column = self.cell(0, tti);
+        self.column_ttis[column] += 1;
         for (row, view) in views.iter().enumerate() {
             let cell = self.cell(row, tti);
             self.flags[cell] |= match view.state {
@@ -144,18 +149,18 @@ impl Cells {
         }
     }
 
-    fn encode(&self, from: Tti, end: Tti, step: u64) -> Vec<u8> {
+    fn encode(&self, end: Tti) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(24 + 3 * self.flags.len());
-        bytes.extend(from.0.to_le_bytes());
+        bytes.extend(self.from.0.to_le_bytes());
         bytes.extend(end.0.to_le_bytes());
         bytes.extend((self.columns as u32).to_le_bytes());
         bytes.extend((self.rows as u32).to_le_bytes());
         bytes.extend(&self.flags);
-        bytes.extend(
-            self.sensing_ttis
-                .iter()
-                .map(|ttis| (u64::from(*ttis) * 255 / step) as u8),
-        );
+        // The first and the last column can have fewer TTIs than the others.
+        bytes.extend(self.sensing_ttis.iter().enumerate().map(|(cell, ttis)| {
+            let column_ttis = self.column_ttis[cell % self.columns].max(1);
+            (u64::from(*ttis) * 255 / u64::from(column_ttis)) as u8
+        }));
         bytes.extend(&self.batteries);
         bytes
     }
@@ -235,7 +240,11 @@ mod tests {
                     let cell = 24 + row * columns + column;
                     let mut views = snapshots.iter().map(|snapshot| snapshot.views[device.index()]);
                     let sensing = views.clone().filter(|view| view.state == DeviceState::Idle).count();
-                    assert_eq!(usize::from(bytes[cells + cell]), sensing * 255 / 4, "TTIs {ttis:?}");
+                    assert_eq!(
+                        usize::from(bytes[cells + cell]),
+                        sensing * 255 / snapshots.len(),
+                        "TTIs {ttis:?}"
+                    );
                     assert_eq!(bytes[cell] & SENSING != 0, sensing > 0, "TTIs {ttis:?}");
                     let last = views.next_back().expect("a TTI");
                     assert_eq!(
