@@ -145,7 +145,7 @@ fn retry_reply(state: &ServerState, count: u32) -> JoinReply {
     JoinReply::Retry(if lost.is_empty() {
         format!("all {} devices of the run have a host", state.admission.devices())
     } else if lost.iter().any(|lost| *lost <= count) {
-        "the devices of a lost host are not ready for this process: their replay runs, or another process takes them over"
+        "the devices of a lost host are not ready for this process: their replay runs, or another process has them"
             .to_owned()
     } else {
         let lost: Vec<String> = lost.iter().map(u32::to_string).collect();

@@ -48,8 +48,8 @@ pub struct ClassBalance {
     pub report_cost: f64,
     /// Battery capacity E_max, units.
     pub capacity: f64,
-    /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones; `None`
-    /// if energy can arrive in any TTI.
+    /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones.
+    /// `None` if energy can arrive in any TTI.
     pub longest_gap: Option<HarvestGap>,
 }
 

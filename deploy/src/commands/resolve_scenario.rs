@@ -17,8 +17,8 @@ use crate::run_folder::{self, SCENARIO_FILE};
 pub(super) const REPLAY_PREFIX: &str = "replay=";
 
 /// Returns the scenario of the run that `run`, `up` or `bs` starts, from the folder that it resumes in or from the
-/// command line; policy `external` is allowed. Also returns the external inputs in the log of `--policy replay=FILE`, if
-/// given.
+/// command line; policy `external` is allowed. Also returns the external inputs in the log of `--policy replay=FILE`,
+/// if given.
 pub(super) fn resolve_started_run(
     args: &ScenarioArgs,
     output: &OutputArgs,

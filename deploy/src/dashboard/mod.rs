@@ -52,8 +52,8 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{local_address}/#{token}");
     let state = ApiState::new(feed, bus, token, local_address);
-    // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows the
-    // run belongs under `/api/`, and one that changes it is a POST.
+    // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows
+    // the run belongs under `/api/`, and one that changes it is a POST.
     let mut router = Router::new()
         .route("/api/run", get(api::about))
         .route("/api/now", get(api::now))

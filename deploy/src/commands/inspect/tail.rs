@@ -60,8 +60,8 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     note!("{}", source.closing_line(printer.printed_lines));
     if printer.printed_lines == 0 && args.since.is_some() {
         note!(
-            "the messages of a grant have its first TTI, and a grant can cover many TTIs; choose an earlier --since, or \
-             run with --no-lookahead"
+            "the messages of a grant have its first TTI, and a grant can cover many TTIs; choose an earlier --since, \
+             or run with --no-lookahead"
         );
     }
     source.close().await;

@@ -43,7 +43,8 @@ pub(crate) trait AreaState: Send {
     /// and [`AreaState::uncovered_gain`] add up to [`AreaState::coverable_gain`].
     fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64>;
 
-    /// Returns the gain of covering the whole area in this TTI, places beyond every device included, in the unit of [`Gain::share`].
+    /// Returns the gain of covering the whole area in this TTI, places beyond every device included, in the unit of
+    /// [`Gain::share`].
     fn coverable_gain(&self) -> f64;
 
     /// Ends the TTI, in which the `chosen` devices sense.
