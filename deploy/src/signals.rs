@@ -5,6 +5,8 @@
 //! Before that, the kernel ends it at a signal. A separate thread receives every signal, so that neither a later wait
 //! nor a busy runtime misses one. Every command whose work takes long uses [`Signals`]; its exit code is in `exit`.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 use std::{fs, io, thread};
@@ -36,6 +38,8 @@ pub(crate) enum SignalMode {
 #[derive(Clone, Debug)]
 pub(crate) struct Signals {
     has_arrived: watch::Receiver<bool>,
+    /// Whether the results are saved, so that a signal loses none.
+    is_saved: Arc<AtomicBool>,
 }
 
 impl Signals {
@@ -50,13 +54,21 @@ impl Signals {
         // if a runtime already runs.
         let mut signals = iterator::Signals::new([SIGINT, SIGTERM].into_iter().chain(hang_up_signal))?;
         let (sender, has_arrived) = watch::channel(false);
+        let is_saved = Arc::new(AtomicBool::new(false));
+        let saved = Arc::clone(&is_saved);
         thread::Builder::new().name("signals".to_owned()).spawn(move || {
             for signal in signals.forever() {
                 // `send_replace` returns the old value, so exactly one signal is the first.
-                react(mode, signal, !sender.send_replace(true));
+                let is_first = !sender.send_replace(true);
+                react(mode, signal, is_first, saved.load(Ordering::Relaxed));
             }
         })?;
-        Ok(Self { has_arrived })
+        Ok(Self { has_arrived, is_saved })
+    }
+
+    /// Notes that the results are saved: the next signal needs no announcement.
+    pub(crate) fn note_saved(&self) {
+        self.is_saved.store(true, Ordering::Relaxed);
     }
 
     /// Whether a signal has arrived.
@@ -139,8 +151,9 @@ pub(crate) fn run_on_thread<T: Send + 'static>(
 }
 
 /// Reacts to a signal.
-fn react(mode: SignalMode, signal: i32, is_first: bool) {
+fn react(mode: SignalMode, signal: i32, is_first: bool, is_saved: bool) {
     match mode {
+        SignalMode::SavesResults if is_first && is_saved => {}
         SignalMode::SavesResults if is_first => {
             tracing::warn!("interrupted; saving the results so far (a second signal ends the program without saving)");
         }

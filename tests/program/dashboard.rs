@@ -490,3 +490,25 @@ fn a_recording_is_shown_without_a_clock() {
     );
     assert_refused(&folder.run("dashboard r.mcap --listen nowhere"), 1, &["nowhere"]);
 }
+
+#[test]
+fn a_held_dashboard_shows_the_run_after_its_end() {
+    let folder = TestFolder::new();
+    let up = folder.start("up -n 20 -k 300 -P 1 --dashboard 127.0.0.1:0 --hold --out o");
+    let page = DashboardPage::from_output_of(&up);
+    up.wait_for_stderr("the dashboard is served until Ctrl-C");
+    assert!(up.stdout().contains("results in o"), "{}", up.stdout());
+    let moment = page.get("/api/now");
+    assert_eq!(
+        (&moment["over"], &moment["next"]),
+        (&Value::from(true), &Value::from(300))
+    );
+    assert_eq!(page.get("/api/tti/150")["tti"], 150);
+    up.signal(Signal::INT);
+    let finished = up.finish();
+    assert!(
+        finished.is_success() && !finished.stderr.contains("interrupted"),
+        "{finished}"
+    );
+    assert_refused(&folder.run("up --hold --quiet --out p"), 2, &["--dashboard"]);
+}

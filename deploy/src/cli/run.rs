@@ -219,6 +219,10 @@ pub(crate) struct DriveArgs {
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8464")]
     pub dashboard: Option<String>,
 
+    /// Serve the dashboard after the run too, until Ctrl-C.
+    #[arg(long, requires = "dashboard")]
+    pub hold: bool,
+
     /// Start with the clock paused; see `reveille clock`.
     #[arg(long)]
     pub paused: bool,

@@ -93,6 +93,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             settings,
             output: &args.output,
             dashboard: args.drive.dashboard.as_deref(),
+            holds_dashboard: args.drive.hold,
             audit: args.drive.audit,
             inputs,
             policy_source,
@@ -120,6 +121,8 @@ pub(crate) struct Service<'a> {
     pub output: &'a OutputArgs,
     /// Address of the dashboard, if it is served.
     pub dashboard: Option<&'a str>,
+    /// Whether the dashboard is served until a signal.
+    pub holds_dashboard: bool,
     /// Extent of the audit.
     pub audit: AuditArg,
     /// External inputs of a new run: decisions of an earlier run, and scripted actions.
@@ -194,8 +197,8 @@ pub(crate) async fn serve_run(
     };
     // The first two are held to the end of the run: dropping them withdraws the registration and the queries.
     let RunServices {
-        registered: _registered,
-        described: _described,
+        registered,
+        described,
         watchers,
         feed_handle,
     } = services;
@@ -265,6 +268,13 @@ pub(crate) async fn serve_run(
     if let Some(feed_handle) = feed_handle {
         feed_handle.end();
         tokio::time::sleep(DASHBOARD_GRACE).await;
+        if service.holds_dashboard && result.is_ok() && !signals.has_arrived() {
+            // The run has ended for all other programs.
+            drop((registered, described));
+            signals.note_saved();
+            note!("the dashboard is served until Ctrl-C");
+            signals.wait_for_first().await;
+        }
     }
     result
 }

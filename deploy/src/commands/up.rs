@@ -64,6 +64,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
                 scenario: &scenario,
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
+                holds_dashboard: args.drive.hold,
                 audit: args.drive.audit,
                 inputs,
                 policy_source,
