@@ -15,20 +15,23 @@ use crate::action_script;
 use crate::external_inputs::ExternalInputs;
 use crate::table::{ColumnType, Hash, Schema, SweptValue};
 
+/// The largest number of cells. Casts of cell numbers to `u32` in `executor` and `folder` rely on it.
 const MAX_CELLS: u64 = 100_000;
-/// The largest number of runs of a sweep, which are kept in memory.
+/// The largest number of runs of a sweep. A sweep keeps all of them in memory.
 const MAX_RUNS: u64 = 100_000_000;
 
 /// One cell: a scenario except for its seed.
 #[derive(Clone, Debug)]
 pub struct GridCell {
-    /// The cell's label in messages, progress and JSON: `knn, devices = 50, harvest.lambda = 0.05`.
+    /// The cell's label in messages, progress and JSON: `knn, devices = 50, harvest.lambda = 0.05`. Errors put it after
+    /// the words `the cell`.
     pub label: String,
     /// The values of the swept columns.
     pub swept: Arc<[SweptValue]>,
     /// The scenario with the first seed.
     pub scenario: Scenario,
-    /// The warnings about the experiment and the scenario, a sentence each without its stop.
+    /// The warnings about the experiment, the same in each cell, and about the scenario; a sentence each, without its
+    /// stop.
     pub warnings: Vec<String>,
 }
 
@@ -38,13 +41,14 @@ impl GridCell {
         self.scenario.with_seed(seed)
     }
 
-    /// The number of device-TTIs of a run, including a preceding search.
+    /// The approximate number of device-TTIs of a run, for estimates of time. It includes the first pilot runs of a
+    /// policy that searches with pilot runs.
     pub fn device_ttis(&self) -> u64 {
-        let pilots = self.scenario.policy.settings().pilot_search();
-        let searched = pilots.map_or(0, |pilots| {
-            pilots.initial_ttis.saturating_mul(pilots.candidates.len() as u64)
+        let search = self.scenario.policy.settings().pilot_search();
+        let pilot_ttis = search.map_or(0, |search| {
+            search.initial_ttis.saturating_mul(search.candidates.len() as u64)
         });
-        let ttis = self.scenario.run.ttis.saturating_add(searched);
+        let ttis = self.scenario.run.ttis.saturating_add(pilot_ttis);
         ttis.saturating_mul(u64::from(self.scenario.run.devices))
     }
 }
@@ -61,7 +65,8 @@ pub struct SweepGrid {
 }
 
 impl SweepGrid {
-    /// Creates the grid of `experiment` and checks every scenario; `files` opens the scenario files.
+    /// Creates the grid of `experiment` and checks every scenario; `files` opens the scenario files. In the grid's
+    /// experiment, the lines of a script of actions replace its path ([`SweepActions::Script`]).
     ///
     /// # Errors
     /// If a value is listed twice, the grid is too large, the scenario of a cell is invalid, or an action is impossible
@@ -80,10 +85,10 @@ impl SweepGrid {
                 .map(|(axis, (_, values))| (axis.path.clone(), values[0].column_type()))
                 .collect(),
         };
-        let base = base_overrides(&experiment)?;
+        let shared_overrides = overrides_of_all_cells(&experiment)?;
         let mut cells = Vec::new();
         for number in 0..experiment.cell_count() {
-            cells.push(build_cell(&experiment, &columns, &base, number, files)?);
+            cells.push(build_cell(&experiment, &columns, &shared_overrides, number, files)?);
         }
         if let Some(actions) = &mut experiment.actions {
             read_actions(actions, &cells, files)?;
@@ -108,17 +113,17 @@ impl SweepGrid {
         ExternalInputs::from_actions(&actions)
     }
 
-    /// Checks that the runs can be distributed to shards, if `shard` is one.
+    /// Checks that the experiment permits `shard`. Every experiment permits [`Shard::WHOLE`].
     ///
     /// # Errors
-    /// If the experiment has `until_ci`.
+    /// If `shard` is a part of the sweep and the experiment has `until_ci`.
     pub fn check_shard(&self, shard: Shard) -> Result<(), SweepError> {
         if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
             return Ok(());
         }
-        let allowed = "excludes until_ci: no shard has all runs of a cell, so a shard cannot decide when the cell is \
-            complete; set only one of them";
-        Err(SweepError::invalid("shard", shard, allowed))
+        let requirement = "excludes until_ci: no shard has all runs of a cell, so a shard cannot decide when the cell \
+            is complete; set only one of them";
+        Err(SweepError::invalid("shard", shard, requirement))
     }
 
     /// Returns a SHA-256 over the first-seed scenarios of all cells, in order; the number of seeds does not enter.
@@ -143,24 +148,25 @@ impl SweepGrid {
     }
 }
 
+/// Checks the numbers of cells and runs, from the lengths of the lists alone.
 pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds.count);
     if cells > MAX_CELLS {
-        let allowed = format!("a grid has at most {MAX_CELLS} cells; sweep fewer fields");
-        return Err(SweepError::invalid("cells", cells, allowed));
+        let requirement = format!("a grid has at most {MAX_CELLS} cells; sweep fewer fields");
+        return Err(SweepError::invalid("cells", cells, requirement));
     }
     let runs = cells.saturating_mul(seeds);
     if runs > MAX_RUNS {
-        let allowed = format!(
+        let requirement = format!(
             "{cells} cells × {seeds} seeds, but a sweep has at most {MAX_RUNS} runs; use fewer seeds \
              (--seeds), or split the grid"
         );
-        return Err(SweepError::invalid("runs", runs, allowed));
+        return Err(SweepError::invalid("runs", runs, requirement));
     }
     Ok(())
 }
 
-/// Reads the script that `actions` names, and checks its actions in all `cells`.
+/// Reads the script of `actions`, checks it in all `cells`, and replaces a path in `actions` by the lines.
 fn read_actions(actions: &mut SweepActions, cells: &[GridCell], files: &dyn Files) -> Result<(), SweepError> {
     let refused = |name: String, reason: String| SweepError::Actions { name, reason };
     let (name, text) = match actions {
@@ -179,7 +185,7 @@ fn read_actions(actions: &mut SweepActions, cells: &[GridCell], files: &dyn File
     Ok(())
 }
 
-/// Converts the values of an axis to the type of its column.
+/// Returns the path of an axis, and its values in the type of their column.
 fn swept_column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepError> {
     let values: Vec<SweptValue> = axis.values.iter().map(swept_value).collect();
     let column_type = values
@@ -190,26 +196,28 @@ fn swept_column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepErro
     let values: Vec<SweptValue> = values.into_iter().map(|value| value.into_type(column_type)).collect();
     for (index, value) in values.iter().enumerate() {
         if values[..index].contains(value) {
-            let allowed = format!("is listed twice; set by {}", axis.origin);
-            return Err(SweepError::invalid(&axis.path, value, allowed));
+            let requirement = format!("is listed twice; set by {}", axis.origin);
+            return Err(SweepError::invalid(&axis.path, value, requirement));
         }
     }
     Ok((axis.path.clone(), values))
 }
 
-fn swept_value(given: &Toml) -> SweptValue {
-    match given {
-        Toml::Integer(value) => SweptValue::Int(*value),
-        Toml::Float(value) => SweptValue::Float(*value),
-        Toml::String(value) => SweptValue::Text(value.clone()),
-        Toml::Boolean(_) | Toml::Datetime(_) | Toml::Array(_) | Toml::Table(_) => SweptValue::Text(given.to_string()),
+fn swept_value(value: &Toml) -> SweptValue {
+    match value {
+        Toml::Integer(number) => SweptValue::Int(*number),
+        Toml::Float(number) => SweptValue::Float(*number),
+        Toml::String(text) => SweptValue::Text(text.clone()),
+        Toml::Boolean(_) | Toml::Datetime(_) | Toml::Array(_) | Toml::Table(_) => SweptValue::Text(value.to_string()),
     }
 }
 
-fn base_overrides(experiment: &Experiment) -> Result<Vec<Override>, SweepError> {
-    let set = experiment.set.iter();
-    set.map(|(path, value, origin)| Override::from_flag(origin, path, &value.to_string()))
+fn overrides_of_all_cells(experiment: &Experiment) -> Result<Vec<Override>, SweepError> {
+    let fields = experiment.set.iter();
+    fields
+        .map(|(path, value, origin)| Override::from_flag(origin, path, &value.to_string()))
         .collect::<Result<_, _>>()
+        // The error puts this text after `the cell`.
         .map_err(|error| scenario_error("of every seed", error))
 }
 
@@ -220,10 +228,11 @@ fn scenario_error(cell: &str, error: ScenarioError) -> SweepError {
     }
 }
 
+/// Builds the cell `number`, from 0. `columns` holds the values of all axes, as [`swept_column`] returns them.
 fn build_cell(
     experiment: &Experiment,
     columns: &[(String, Vec<SweptValue>)],
-    base: &[Override],
+    shared_overrides: &[Override],
     number: u64,
     files: &dyn Files,
 ) -> Result<GridCell, SweepError> {
@@ -234,10 +243,10 @@ fn build_cell(
         *value_index = quotient % axis.values.len();
         quotient /= axis.values.len();
     }
-    let mut overrides = base.to_vec();
-    let (mut label, mut swept) = (Vec::new(), Vec::new());
+    let mut overrides = shared_overrides.to_vec();
+    let (mut label_parts, mut swept) = (Vec::new(), Vec::new());
     for ((axis, (_, values)), &value_index) in experiment.axes.iter().zip(columns).zip(&value_indices) {
-        label.push(match axis.path.as_str() {
+        label_parts.push(match axis.path.as_str() {
             "preset" | "policy.name" => values[value_index].to_string(),
             path => format!("{path} = {}", values[value_index]),
         });
@@ -245,17 +254,17 @@ fn build_cell(
             swept.push(values[value_index].clone());
         }
         let text = axis.values[value_index].to_string();
-        let field = Override::from_flag(&axis.origin, &axis.path, &text);
-        overrides.push(field.map_err(|error| scenario_error(&label.join(", "), error))?);
+        let value_override = Override::from_flag(&axis.origin, &axis.path, &text);
+        overrides.push(value_override.map_err(|error| scenario_error(&label_parts.join(", "), error))?);
     }
-    let label = if label.is_empty() {
+    let label = if label_parts.is_empty() {
         "of the scenario as it is".to_owned()
     } else {
-        label.join(", ")
+        label_parts.join(", ")
     };
-    let seed = experiment.seeds.first.to_string();
-    let seed = Override::from_flag("--first-seed", "seed", &seed);
-    overrides.push(seed.map_err(|error| scenario_error(&label, error))?);
+    let first_seed = experiment.seeds.first.to_string();
+    let seed_override = Override::from_flag("--first-seed", "seed", &first_seed);
+    overrides.push(seed_override.map_err(|error| scenario_error(&label, error))?);
     let loaded = load_with(&experiment.scenario_source(), &overrides, files);
     let loaded = loaded.map_err(|error| scenario_error(&label, error))?;
     Ok(GridCell {

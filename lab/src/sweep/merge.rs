@@ -1,4 +1,6 @@
-//! Merges the tables of shards (`reveille merge`). The result equals the table of an undivided sweep.
+//! Merges the tables of shards (`reveille merge`). The result equals the table of an undivided sweep, byte for byte in
+//! a file. Tables hold no number of a run, so the merge relies on [`Shard`] for the place of each row. The reasons of
+//! errors follow `FILE: cannot be merged: `.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -52,16 +54,16 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         }
     }
     let count = first_shard.count();
-    let present: Vec<u64> = shards.iter().map(|(shard, _, _)| shard.index()).collect();
-    let missing: Vec<String> = (1..=count)
-        .filter(|index| present.binary_search(index).is_err())
+    let present_indices: Vec<u64> = shards.iter().map(|(shard, _, _)| shard.index()).collect();
+    let missing_shards: Vec<String> = (1..=count)
+        .filter(|index| present_indices.binary_search(index).is_err())
         .map(|index| format!("{index}/{count}"))
         .collect();
-    if !missing.is_empty() && !partial {
-        let shown = missing.iter().take(20).cloned().collect::<Vec<_>>().join(", ");
+    if !missing_shards.is_empty() && !partial {
+        let shown = missing_shards.iter().take(20).cloned().collect::<Vec<_>>().join(", ");
         let reason = format!(
             "{} of {count} shards are missing: {shown}; add them, or merge the present ones with --partial",
-            missing.len()
+            missing_shards.len()
         );
         return Err(merge_error(first_path, reason));
     }
@@ -71,21 +73,21 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
     for (shard, path, table) in &shards {
         check_complete(&experiment, *shard, path, table)?;
     }
-    let indices: Vec<String> = present.iter().map(ToString::to_string).collect();
+    let indices: Vec<String> = present_indices.iter().map(ToString::to_string).collect();
     let metadata = TableMetadata {
-        shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
+        shard: (!missing_shards.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
         ..first.metadata.clone()
     };
     let schema = join_schemas(&shards);
-    let mut tables = BTreeMap::new();
+    let mut rows_by_shard = BTreeMap::new();
     for (shard, _, mut table) in shards {
         convert_swept_values(&mut table, &schema);
-        tables.insert(shard.index(), table.rows.into_iter());
+        rows_by_shard.insert(shard.index(), table.rows.into_iter());
     }
     Ok(Table {
         metadata,
         schema,
-        rows: interleave_rows(&experiment, count, tables),
+        rows: interleave_rows(&experiment, count, rows_by_shard),
     })
 }
 
@@ -105,6 +107,7 @@ fn join_schemas(shards: &[(Shard, PathBuf, Table)]) -> Schema {
     schema
 }
 
+/// Converts the swept values of `table` to the types of `schema`. The schema of `table` stays as it is.
 fn convert_swept_values(table: &mut Table, schema: &Schema) {
     if table.schema == *schema {
         return;
@@ -124,6 +127,7 @@ fn merge_error(path: &Path, reason: String) -> SweepError {
     }
 }
 
+/// Returns the shard that `table` names in its metadata.
 fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
     if table.metadata.experiment.is_empty() {
         let reason = "it does not name its experiment; a CSV file needs its side-car NAME.csv.toml in the same folder";
@@ -143,23 +147,26 @@ fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
 }
 
 fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
-    let (a, b) = (&first.metadata, &table.metadata);
-    let name = |(name, _): &(String, ColumnType)| name.clone();
-    let difference = if a.version != b.version {
-        format!("it is from reveille {}, the other table from {}", b.version, a.version)
-    } else if a.experiment != b.experiment {
+    let (expected, found) = (&first.metadata, &table.metadata);
+    let column_name = |(name, _): &(String, ColumnType)| name.clone();
+    let difference = if expected.version != found.version {
+        format!(
+            "it is from reveille {}, the other table from {}",
+            found.version, expected.version
+        )
+    } else if expected.experiment != found.experiment {
         format!(
             "its experiment differs: {}",
-            describe_difference(&b.experiment, &a.experiment)
+            describe_difference(&found.experiment, &expected.experiment)
         )
-    } else if a.grid != b.grid {
+    } else if expected.grid != found.grid {
         "the scenario files or traces behind its experiment differ".to_owned()
     } else if !first
         .schema
         .swept
         .iter()
-        .map(name)
-        .eq(table.schema.swept.iter().map(name))
+        .map(column_name)
+        .eq(table.schema.swept.iter().map(column_name))
     {
         "its columns differ".to_owned()
     } else {
@@ -172,7 +179,8 @@ fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table
     Err(merge_error(path, reason))
 }
 
-/// Checks by the number and the seeds of its rows that the table holds exactly its share.
+/// Checks by the number and the seeds of its rows that the table holds exactly its share. Shards exclude `until_ci`
+/// ([`super::SweepGrid::check_shard`]), so the share has a row for every seed.
 fn check_complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds);
     let expected_seeds = (0..cells).flat_map(|cell| shard.seed_indices(cell, seeds.count));
@@ -187,17 +195,18 @@ fn check_complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Ta
     Ok(())
 }
 
-/// Returns the rows of the `count` shards, in the order of cells and then of seeds.
+/// Returns the rows of the `count` shards, in the order of cells and then of seeds. `rows_by_shard` holds the rows of
+/// each present shard by its index; [`check_complete`] must have checked them, because they are taken by position.
 fn interleave_rows(
     experiment: &Experiment,
     count: u64,
-    mut tables: BTreeMap<u64, IntoIter<ResultRow>>,
+    mut rows_by_shard: BTreeMap<u64, IntoIter<ResultRow>>,
 ) -> Vec<ResultRow> {
-    let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
+    let mut rows = Vec::with_capacity(rows_by_shard.values().map(IntoIter::len).sum());
     for cell in 0..experiment.cell_count() {
-        for seed in 0..experiment.seeds.count {
-            let table = tables.get_mut(&Shard::shard_index_of_run(cell, seed, count));
-            rows.extend(table.and_then(Iterator::next));
+        for seed_index in 0..experiment.seeds.count {
+            let shard_rows = rows_by_shard.get_mut(&Shard::shard_index_of_run(cell, seed_index, count));
+            rows.extend(shard_rows.and_then(Iterator::next));
         }
     }
     rows

@@ -2,9 +2,12 @@
 //!
 //! An [`ExperimentBuilder`] holds the fields of a file and the command line. [`ExperimentBuilder::build`] creates an
 //! [`Experiment`] from it, [`SweepGrid::new`] the cells with checked scenarios, and [`Sweep`] runs them in a folder.
-//! Results depend on the experiment alone: not on the number of threads, on interruptions, or on the shards.
+//! `reveille sweep`, `merge` and `train record` and the Python package call these items; the module `journal` is public
+//! for the fuzz target `files`.
 //!
-//! Every cell has the same seeds, so that policies are compared on the same deployments, harvests and event places.
+//! Results depend on the experiment, the files that it names, and the version of the program: not on the number of
+//! threads, on interruptions, or on the shards. Every cell has the same seeds, so policies are compared on the same
+//! deployments, harvests and event places.
 
 mod error;
 mod executor;

@@ -1,5 +1,6 @@
 //! Shards of a sweep for several machines. The assignment of runs is fixed: `merge` interleaves the rows by it, and the
-//! journal of a shard stays valid when its seeds are raised.
+//! journal of a shard stays valid when its seeds are raised. The text `i/n` of a shard is the value of `--shard`, and
+//! part of result tables and of the identity of journals.
 
 use std::fmt;
 use std::str::FromStr;
@@ -30,32 +31,38 @@ impl Shard {
         self.count
     }
 
-    /// Returns the index, 1 to `shard_count`, of the shard that holds the run. `cell` and `seed` count from 0.
-    pub const fn shard_index_of_run(cell: u64, seed: u64, shard_count: u64) -> u64 {
+    /// Returns the index, 1 to `shard_count`, of the shard that holds the run. `cell` and `seed_index` count from 0.
+    pub const fn shard_index_of_run(cell: u64, seed_index: u64, shard_count: u64) -> u64 {
         // Each term is reduced first: the sum of a cell and a seed could overflow.
-        (cell % shard_count + seed % shard_count) % shard_count + 1
+        (cell % shard_count + seed_index % shard_count) % shard_count + 1
     }
 
-    /// Returns whether the run of a cell and a seed, both counted from 0, belongs to the shard.
-    pub const fn contains(self, cell: u64, seed: u64) -> bool {
-        Self::shard_index_of_run(cell, seed, self.count) == self.index
+    /// Returns whether the run of a cell and the index of a seed, both from 0, belongs to the shard.
+    pub const fn contains(self, cell: u64, seed_index: u64) -> bool {
+        Self::shard_index_of_run(cell, seed_index, self.count) == self.index
     }
 
-    /// Returns the first of the shard's seeds of `cell`.
+    /// Returns the index, from 0, of the first of the shard's seeds of `cell`: the inverse of
+    /// [`Self::shard_index_of_run`].
     const fn first_seed_index(self, cell: u64) -> u64 {
         // The count is added before the subtraction, which would otherwise go below zero.
         (self.index - 1 + self.count - cell % self.count) % self.count
     }
 
-    /// Iterates over the shard's seeds of `cell`, which has `seeds` of them; counted from 0.
-    pub fn seed_indices(self, cell: u64, seeds: u64) -> impl Iterator<Item = u64> {
-        (self.first_seed_index(cell)..seeds).step_by(self.count as usize)
+    /// Iterates in ascending order over the indices, from 0, of the shard's seeds of `cell`, which has `seed_count`
+    /// seeds in all shards.
+    pub fn seed_indices(self, cell: u64, seed_count: u64) -> impl Iterator<Item = u64> {
+        (self.first_seed_index(cell)..seed_count).step_by(self.count as usize)
     }
 
-    /// Returns the number of the shard's runs of `cells` with `seeds` each.
-    pub fn run_count(self, cells: u64, seeds: u64) -> u64 {
-        let runs_in_cell = |cell| seeds.saturating_sub(self.first_seed_index(cell)).div_ceil(self.count);
-        (0..cells).map(runs_in_cell).sum()
+    /// Returns the number of the shard's runs in `cell_count` cells with `seed_count` seeds each.
+    pub fn run_count(self, cell_count: u64, seed_count: u64) -> u64 {
+        let runs_in_cell = |cell| {
+            seed_count
+                .saturating_sub(self.first_seed_index(cell))
+                .div_ceil(self.count)
+        };
+        (0..cell_count).map(runs_in_cell).sum()
     }
 }
 
@@ -112,6 +119,8 @@ mod tests {
             }
             assert_eq!(sizes.iter().sum::<u64>(), cells * seeds);
             let spread = sizes.iter().max().expect("some") - sizes.iter().min().expect("some");
+            // The remainder of each cell goes to neighbouring shards, one further on than in the previous cell. The
+            // sizes therefore never differ by more than this.
             assert!(spread <= count / 2, "{cells} cells, {seeds} seeds: {sizes:?}");
         }
     }

@@ -1,5 +1,6 @@
-//! Tests of experiments ([`ExperimentBuilder`], [`SweepGrid`]) and of [`Sweep`]: rows are compared with single runs,
-//! and the tables of threads, interruptions and shards with the table of one uninterrupted sweep.
+//! Tests of experiments ([`ExperimentBuilder`], [`SweepGrid`]), of [`Sweep`] and its folder, of [`merge`] and of
+//! [`ReusableRuns`]. Rows are compared with single runs, and the tables of threads, interruptions and shards with the
+//! table of one uninterrupted sweep. Not checked: killed processes, which `tests/program/sweep.rs` covers.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -59,7 +60,8 @@ fn parse_grid(text: &str) -> Result<SweepGrid, SweepError> {
     SweepGrid::new(parse_experiment(text)?.build()?, &Disk)
 }
 
-/// The experiment of most tests: 8 cells with 7 seeds each.
+/// The experiment of most tests: 8 cells with 7 seeds each, 56 runs. Tests vary it by replacing `12`, `300` and
+/// `count = 7` in this text.
 const SMALL: &str = r#"
 policies = ["random", "knn"]
 devices = [5, 12]
@@ -69,7 +71,7 @@ seeds = { first = 3, count = 7 }
 harvest.lambda = [0.1, 1]
 "#;
 
-/// Runs a shard of `grid`. Returns its result and the bytes of its table.
+/// Runs a shard of `grid`, `1/1` for all of it. Returns its result and the bytes of its table.
 fn run_sweep(grid: &SweepGrid, shard: &str, threads: usize, folder: &Path) -> (SweepResult, Vec<u8>) {
     let mut sweep = Sweep::open(grid, shard.parse().expect("a shard"), folder).expect("a folder");
     let ended = sweep.run(threads, Format::Parquet, &never_stop());
@@ -169,21 +171,21 @@ fn an_invalid_experiment_is_refused_with_the_field() {
 
 #[test]
 fn a_script_of_actions_reads_back_and_is_part_of_the_identity() {
-    let with = |script: &str| {
-        let mut draft = parse_experiment("devices = [9]\nttis = 50\nseeds = 2").expect("valid");
-        draft.actions = Some(SweepActions::Script(script.to_owned()));
-        SweepGrid::new(draft.build().expect("valid"), &Disk)
+    let grid_with_script = |script: &str| {
+        let mut builder = parse_experiment("devices = [9]\nttis = 50\nseeds = 2").expect("valid");
+        builder.actions = Some(SweepActions::Script(script.to_owned()));
+        SweepGrid::new(builder.build().expect("valid"), &Disk)
     };
     let mut texts = Vec::new();
     for script in ["", "\n\n5 fail 3", "5 fail 3\r\n# \"a\" \\ '''b''' \u{1} é", "6 fail 3"] {
-        let text = with(script).expect("valid").experiment.to_toml();
-        let again = parse_experiment(&text).expect(&text);
-        assert_eq!(again.actions, Some(SweepActions::Script(script.to_owned())), "{text}");
-        assert_eq!(again.build().expect("valid").to_toml(), text);
+        let text = grid_with_script(script).expect("valid").experiment.to_toml();
+        let read = parse_experiment(&text).expect(&text);
+        assert_eq!(read.actions, Some(SweepActions::Script(script.to_owned())), "{text}");
+        assert_eq!(read.build().expect("valid").to_toml(), text);
         assert!(!texts.contains(&text), "{text}");
         texts.push(text);
     }
-    let error = with("5 fail 9").expect_err("9 devices").to_string();
+    let error = grid_with_script("5 fail 9").expect_err("9 devices").to_string();
     assert!(
         error.contains("action_script: line 1: device 9: not in the run") && error.contains("in the cell devices = 9"),
         "{error}"
@@ -326,12 +328,12 @@ fn threads_interruptions_and_shards_give_the_same_table() {
 
 #[test]
 fn reused_runs_of_another_sweep_give_the_same_table() {
-    let (first, without_reuse, with_reuse) = (
-        SweepTestFolder::new("first"),
-        SweepTestFolder::new("fresh"),
-        SweepTestFolder::new("own"),
+    let (known_folder, without_reuse, with_reuse) = (
+        SweepTestFolder::new("known"),
+        SweepTestFolder::new("without-reuse"),
+        SweepTestFolder::new("with-reuse"),
     );
-    let (known, _) = run_sweep(&parse_grid(SMALL).expect("valid"), "1/1", 2, &first.0);
+    let (known, _) = run_sweep(&parse_grid(SMALL).expect("valid"), "1/1", 2, &known_folder.0);
     // Half of its cells, more seeds, and a number of devices that it lacks.
     let other = parse_grid(
         "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\n\
@@ -474,13 +476,14 @@ fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
         "interrupted"
     );
 
-    // The expected decision: the intervals of the first runs at each check, with the two-pass formulas.
-    let checks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
+    // The expected decision: the intervals of the first runs at each check, with the two-pass formulas. The first check
+    // follows after `min_seeds` runs; each later one adds a quarter, rounded up to a multiple of ten.
+    let expected_checks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
     let until = grid.experiment.until_ci.as_ref().expect("set");
-    let own_checks: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_check(runs, 200)))
-        .take(checks.len())
+    let checks: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_check(runs, 200)))
+        .take(expected_checks.len())
         .collect();
-    assert_eq!(own_checks, checks);
+    assert_eq!(checks, expected_checks);
     let cells = stats::group_by_cell(&finished.table);
     for (cell, summary) in cells.iter().zip(&finished.cells) {
         assert_eq!(cell.rows.len() as u64, summary.runs);
@@ -495,14 +498,15 @@ fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
                 let count = values.len() as f64;
                 let mean = values.iter().sum::<f64>() / count;
                 let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0);
-                stats::student_t_quantile_95(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
+                stats::student_t_quantile_95(values.len() - 1) * (variance / count).sqrt() / mean <= until.target
             })
         };
-        let expected_runs = checks
+        let expected_runs = expected_checks
             .into_iter()
             .find(|&runs| runs == 200 || (runs <= summary.runs && is_narrow(runs)));
         assert_eq!(expected_runs, Some(summary.runs), "{}", cell.policy);
     }
+    // The test relies on a cell that ends between the first check and the last seed.
     assert!(
         finished.cells[0].runs < 200 && finished.cells[0].runs > 5,
         "the cell ran all seeds or no more than the fewest: {:?}",
@@ -528,6 +532,7 @@ fn min_seeds_identify_a_sweep_unless_they_are_the_default() {
         experiment_hash(&grid_with("min_seeds = 5")),
         experiment_hash(&grid_with("min_seeds = 6"))
     );
+    // 30 is `UntilCi::MIN_SEEDS`.
     assert_eq!(
         experiment_hash(&grid_with("min_seeds = 30")),
         experiment_hash(&grid_with("")),

@@ -6,7 +6,7 @@
 //!
 //! The first line names the sweep and the seeds of each cell. To raise the seeds, a copy with another first line and
 //! all runs replaces the journal atomically. A change of the lines, or of the metrics' number or order, needs a new
-//! `FORMAT`.
+//! `FORMAT`: older journals are then refused. `folder` puts `--out FOLDER: ` before the error texts of this module.
 
 mod io;
 
@@ -21,16 +21,18 @@ pub use io::Journal;
 
 /// The first word of a journal.
 const MAGIC: &str = "reveille-journal ";
+/// The version of the format, the second word.
 const FORMAT: &str = "2";
-/// Limit of the first line, bytes.
+/// The number of bytes in which [`Journal::read_seed_count`] expects the first line.
 pub(super) const MAX_HEADER_BYTES: u64 = 1024;
 
-/// The place of a run: its cell and the index of its seed, both from 0.
+/// The place of a run: its cell and the index of its seed, both from 0. The order, by cell and then by seed, is the
+/// order of rows in tables: `folder` takes ranges of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RunIndex {
     /// The cell.
     pub cell: u32,
-    /// The index of the seed.
+    /// The index of the seed, not its value.
     pub seed: u32,
 }
 
@@ -67,14 +69,14 @@ pub(super) enum JournalHeader {
 }
 
 impl JournalHeader {
-    /// Parses `line` as the header of the sweep whose header begins with `prefix`.
+    /// Parses `line` as the header of the sweep whose header begins with `prefix`. Returns `None` for any other line.
     pub(super) fn parse(line: &[u8], prefix: &str) -> Option<Self> {
         let text = std::str::from_utf8(line).ok()?;
         let Some(text) = text.strip_suffix('\n') else {
-            let seeds = text.strip_prefix(prefix).and_then(|rest| rest.strip_prefix(' '));
-            let is_number = |seeds: &str| seeds.bytes().all(|byte| byte.is_ascii_digit());
+            let seed_digits = text.strip_prefix(prefix).and_then(|suffix| suffix.strip_prefix(' '));
+            let is_number = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
             // A first line cut off anywhere, in the prefix or in the number, belongs to this sweep.
-            let is_torn = prefix.starts_with(text) || seeds.is_some_and(is_number);
+            let is_torn = prefix.starts_with(text) || seed_digits.is_some_and(is_number);
             return is_torn.then_some(Self::Torn);
         };
         let seeds = text.strip_prefix(prefix)?.strip_prefix(' ')?;
@@ -82,11 +84,11 @@ impl JournalHeader {
     }
 }
 
-/// Explains why a journal of `held` seeds a cell cannot become one of `seeds`.
-pub(super) fn too_many_seeds(held: u64, seeds: u64) -> String {
+/// Explains why a journal of `journal_seeds` seeds a cell cannot become one of `seeds`.
+pub(super) fn too_many_seeds(journal_seeds: u64, seeds: u64) -> String {
     format!(
-        "holds the runs of {held} seeds a cell, more than the requested {seeds}; use --seeds {held} or more, or choose \
-         another folder with --out"
+        "holds the runs of {journal_seeds} seeds a cell, more than the requested {seeds}; use --seeds {journal_seeds} \
+         or more, or choose another folder with --out"
     )
 }
 
@@ -98,7 +100,8 @@ pub(super) fn header_prefix(identity: &str) -> String {
 /// Explains why a journal that begins with `line` does not belong to this sweep.
 pub(super) fn foreign_journal(line: &[u8]) -> String {
     let line = String::from_utf8_lossy(line);
-    let format = line.strip_prefix(MAGIC).and_then(|rest| rest.split_whitespace().next());
+    let format = line.strip_prefix(MAGIC);
+    let format = format.and_then(|after_magic| after_magic.split_whitespace().next());
     match format {
         Some(FORMAT) => {
             "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
@@ -114,7 +117,7 @@ pub(super) fn foreign_journal(line: &[u8]) -> String {
     }
 }
 
-/// Returns the line of a run, including its line break.
+/// Returns the line of a run, including its line break. [`parse_line`] is its inverse.
 pub(super) fn encode_line(run_index: RunIndex, entry: &JournalEntry) -> String {
     let RunIndex { cell, seed } = run_index;
     let metrics = entry.metrics.map(|value| {
@@ -129,7 +132,7 @@ pub(super) fn encode_line(run_index: RunIndex, entry: &JournalEntry) -> String {
     format!("{text} {:08x}\n", crc32fast::hash(text.as_bytes()))
 }
 
-/// Parses the run of a line, if the line is complete.
+/// Parses the run of a line. Returns `None` if the line is torn or garbled, or the run is beyond `cells` or `seeds`.
 pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunIndex, JournalEntry)> {
     let (text, checksum) = std::str::from_utf8(line).ok()?.strip_suffix('\n')?.rsplit_once(' ')?;
     // `from_str_radix` also accepts a sign and fewer digits, which the format excludes.
@@ -146,10 +149,10 @@ pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunInde
     }
     let scenario_hash = fields.next()?.parse().ok()?;
     let mut metrics = [f64::NAN; Metrics::COUNT];
-    for slot in &mut metrics {
+    for metric in &mut metrics {
         match fields.next()? {
             "-" => {}
-            number => *slot = number.parse().ok()?,
+            number => *metric = number.parse().ok()?,
         }
     }
     let entry = JournalEntry {
@@ -161,12 +164,13 @@ pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunInde
     fields.next().is_none().then_some((run_index, entry))
 }
 
-/// A store of finished runs.
+/// A store of finished runs, to which the threads of `executor` add. [`Journal`] is the only one.
 pub trait RunStore: Send {
     /// The finished runs.
     fn runs(&self) -> &BTreeMap<RunIndex, JournalEntry>;
 
-    /// Adds a finished run that took `device_ttis`.
+    /// Adds a finished run that took `device_ttis`; this number only counts towards the next sync. The store must not
+    /// hold the run yet.
     ///
     /// # Errors
     /// If the run cannot be stored; earlier runs are kept.

@@ -1,5 +1,5 @@
 //! The file of a journal: locked while it is open, repaired on opening, and synced to the disk at intervals. The parent
-//! module has the format of its lines.
+//! module has the format of its lines. A [`Journal`] also keeps all runs in memory; both copies must agree.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -25,8 +25,9 @@ pub struct Journal {
     file: File,
     /// The damaged file that `file` has replaced. It stays locked for processes that have opened it meanwhile.
     replaced_file: Option<File>,
-    /// The number of bytes up to the end of the last complete line.
+    /// The number of bytes up to the end of the last complete line. A failed write is cut off here.
     valid_bytes: u64,
+    /// The runs in the file.
     runs: BTreeMap<RunIndex, JournalEntry>,
     dropped_lines: usize,
     unsynced_lines: u32,
@@ -34,8 +35,8 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens or creates the journal at `path`. `identity` names its sweep; `cells` and `seeds` bound the places of its
-    /// runs. A journal with fewer seeds is raised to `seeds`.
+    /// Opens or creates the journal at `path`. `identity` names its sweep, in one line of text. Lines of runs beyond
+    /// `cells` or `seeds` count as garbled. A journal with fewer seeds is raised to `seeds`.
     ///
     /// # Errors
     /// If another process has it open, it belongs to another sweep or to more seeds, or it cannot be read or written.
@@ -78,26 +79,29 @@ impl Journal {
             .ok()?;
         match JournalHeader::parse(&line, &header_prefix(identity))? {
             JournalHeader::Torn => None,
-            JournalHeader::Seeds(held) => Some(held),
+            JournalHeader::Seeds(journal_seeds) => Some(journal_seeds),
         }
     }
 
     /// Reads the runs, removes torn and garbled lines from the file, and raises the seeds of its first line.
     fn recover(&mut self, prefix: &str, cells: u64, seeds: u64) -> Result<(), String> {
-        let failed = |error: io::Error| unusable_file(&self.path, &error);
+        let unusable = |error: io::Error| unusable_file(&self.path, &error);
         let header = format!("{prefix} {seeds}\n");
         let mut reader = BufReader::new(&self.file);
         let mut line = Vec::new();
         let (mut valid_bytes, mut read_bytes, mut needs_rewrite) = (0, 0, false);
-        while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
+        while reader.read_until(b'\n', &mut line).map_err(unusable)? > 0 {
             read_bytes += line.len() as u64;
+            // No valid byte yet: this line is the first.
             if valid_bytes == 0 {
                 match JournalHeader::parse(&line, prefix) {
                     None => return Err(foreign_journal(&line)),
                     // `valid_bytes` is still 0, so the file is emptied and gets a new first line.
                     Some(JournalHeader::Torn) => break,
-                    Some(JournalHeader::Seeds(held)) if held > seeds => return Err(too_many_seeds(held, seeds)),
-                    Some(JournalHeader::Seeds(held)) => needs_rewrite = held < seeds,
+                    Some(JournalHeader::Seeds(journal_seeds)) if journal_seeds > seeds => {
+                        return Err(too_many_seeds(journal_seeds, seeds));
+                    }
+                    Some(JournalHeader::Seeds(journal_seeds)) => needs_rewrite = journal_seeds < seeds,
                 }
                 valid_bytes = read_bytes;
             } else if let Some((run_index, entry)) = parse_line(&line, cells, seeds) {
@@ -113,10 +117,10 @@ impl Journal {
         if needs_rewrite {
             return self.rewrite(&header).map_err(|error| unusable_file(&self.path, &error));
         }
-        self.file.set_len(valid_bytes).map_err(failed)?;
-        self.file.seek(SeekFrom::End(0)).map_err(failed)?;
+        self.file.set_len(valid_bytes).map_err(unusable)?;
+        self.file.seek(SeekFrom::End(0)).map_err(unusable)?;
         if valid_bytes == 0 {
-            self.file.write_all(header.as_bytes()).map_err(failed)?;
+            self.file.write_all(header.as_bytes()).map_err(unusable)?;
             valid_bytes = header.len() as u64;
         }
         self.valid_bytes = valid_bytes;
@@ -125,8 +129,12 @@ impl Journal {
 
     /// Replaces this journal by one with the recovered runs. Both files stay locked.
     fn rewrite(&mut self, header: &str) -> io::Result<()> {
-        let part = open_part_file(&self.path, |part| {
-            let file = OpenOptions::new().read(true).append(true).create(true).open(part)?;
+        let part = open_part_file(&self.path, |part_path| {
+            let file = OpenOptions::new()
+                .read(true)
+                .append(true)
+                .create(true)
+                .open(part_path)?;
             match file.try_lock() {
                 Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => return Err(error),
                 Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
@@ -136,9 +144,9 @@ impl Journal {
             file.set_len(0)?;
             Ok(file)
         })?;
-        let length = self.write_copy(part.as_file(), header)?;
+        let byte_count = self.write_copy(part.as_file(), header)?;
         let file = part.persist(&self.path)?;
-        self.valid_bytes = length;
+        self.valid_bytes = byte_count;
         self.replaced_file = Some(std::mem::replace(&mut self.file, file));
         Ok(())
     }
@@ -146,17 +154,17 @@ impl Journal {
     /// Writes `header` and the runs to `file` and syncs it to the disk. Returns the number of bytes.
     fn write_copy(&self, file: &File, header: &str) -> io::Result<u64> {
         let mut writer = BufWriter::new(file);
-        let mut length = header.len();
+        let mut byte_count = header.len();
         writer.write_all(header.as_bytes())?;
         for (run_index, entry) in &self.runs {
             let line = encode_line(*run_index, entry);
             writer.write_all(line.as_bytes())?;
-            length += line.len();
+            byte_count += line.len();
         }
         writer.flush()?;
         drop(writer);
         file.sync_all()?;
-        Ok(length as u64)
+        Ok(byte_count as u64)
     }
 
     /// The number of torn or garbled lines that were removed when the journal was opened.

@@ -1,5 +1,5 @@
 //! Tests of [`Journal::open`] and [`Journal::add`]: journals that are truncated, damaged, locked, of another sweep, or
-//! of fewer seeds.
+//! of fewer seeds. Not checked: failed writes and the syncs; `tests/program/sweep.rs` fills a disk and kills a process.
 
 use std::fs;
 
@@ -17,6 +17,7 @@ impl TempJournal {
         Self(path)
     }
 
+    /// Opens the journal of the sweep `me`, which has 3 cells with 5 seeds each.
     fn open(&self) -> Journal {
         Journal::open(&self.0, "me", 3, 5).expect("usable")
     }
@@ -46,7 +47,7 @@ const RUNS: [RunIndex; 3] = [
     RunIndex { cell: 1, seed: 3 },
 ];
 
-/// Returns a journal with three runs, and its bytes.
+/// Returns a journal with [`RUNS`], of which the entries are `entry(7)` to `entry(9)`, and its bytes.
 fn three_runs(name: &str) -> (TempJournal, Vec<u8>) {
     let file = TempJournal::new(name);
     let mut journal = file.open();
@@ -58,7 +59,7 @@ fn three_runs(name: &str) -> (TempJournal, Vec<u8>) {
     (file, bytes)
 }
 
-fn is_same(a: &JournalEntry, b: &JournalEntry) -> bool {
+fn is_same_entry(a: &JournalEntry, b: &JournalEntry) -> bool {
     encode_line(RUNS[0], a) == encode_line(RUNS[0], b) && a.metrics[1].to_bits() == b.metrics[1].to_bits()
 }
 
@@ -68,7 +69,7 @@ fn runs_are_restored_bit_for_bit() {
     let journal = file.open();
     assert_eq!((journal.runs().len(), journal.dropped_lines()), (3, 0));
     for (run, number) in RUNS.into_iter().zip(7..) {
-        assert!(is_same(&journal.runs()[&run], &entry(number)));
+        assert!(is_same_entry(&journal.runs()[&run], &entry(number)));
     }
 }
 
@@ -93,7 +94,7 @@ fn a_truncated_journal_loses_only_the_torn_line() {
         drop(journal);
         let journal = file.open();
         assert!(
-            is_same(&journal.runs()[&RUNS[2]], &entry(9)),
+            is_same_entry(&journal.runs()[&RUNS[2]], &entry(9)),
             "truncated to {length} bytes"
         );
         assert_eq!(journal.dropped_lines(), 0, "truncated to {length} bytes");
@@ -134,7 +135,7 @@ fn only_a_damaged_line_is_dropped() {
 #[test]
 fn raised_seeds_keep_all_runs_and_lowered_seeds_are_refused() {
     let (file, bytes) = three_runs("raised");
-    // A temporary file that a killed process has left.
+    // A temporary file that a killed process has left: NAME.part, since the name has no extension to replace.
     fs::write(file.0.with_extension("part"), &bytes[..bytes.len() / 2]).expect("written");
     let journal = Journal::open(&file.0, "me", 3, 20).expect("more seeds");
     assert_eq!((journal.runs().len(), journal.dropped_lines()), (3, 0));
@@ -165,6 +166,7 @@ fn another_sweep_and_a_second_process_are_refused() {
     drop(first);
     let message = Journal::open(&file.0, "you", 3, 5).expect_err("another");
     assert!(message.contains("another experiment"), "{message}");
+    // The texts repeat `FORMAT`, which is 2.
     for text in [
         "letters\n",
         "my precious notes",
@@ -177,7 +179,7 @@ fn another_sweep_and_a_second_process_are_refused() {
     ] {
         fs::write(&file.0, text).expect("written");
         let message = Journal::open(&file.0, "me", 3, 5).expect_err("no journal");
-        let cause = match text.strip_prefix("reveille-journal ").map(|rest| &rest[..1]) {
+        let cause = match text.strip_prefix("reveille-journal ").map(|format| &format[..1]) {
             Some("2") => "another experiment",
             Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 2",
             None => "damaged first line",
