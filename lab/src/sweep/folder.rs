@@ -234,7 +234,7 @@ impl<'g> Sweep<'g> {
             metadata: TableMetadata {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 experiment: self.grid.experiment.to_toml(),
-                grid: self.grid.fingerprint().to_string(),
+                grid_hash: self.grid.fingerprint().to_string(),
                 shard: (self.shard != Shard::WHOLE).then(|| self.shard.to_string()),
             },
             schema: self.grid.schema.clone(),

@@ -159,7 +159,7 @@ fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table
             "its experiment differs: {}",
             describe_difference(&found.experiment, &expected.experiment)
         )
-    } else if expected.grid != found.grid {
+    } else if expected.grid_hash != found.grid_hash {
         "the scenario files or traces behind its experiment differ".to_owned()
     } else if !first
         .schema

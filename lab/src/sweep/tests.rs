@@ -388,7 +388,7 @@ fn tables_of_different_sweeps_are_not_merged() {
     other_version.1.metadata.version = "9.9.9".to_owned();
     assert_refused(other_version, "reveille 9.9.9");
     let mut other_files = second.clone();
-    other_files.1.metadata.grid = "0".repeat(64);
+    other_files.1.metadata.grid_hash = "0".repeat(64);
     assert_refused(other_files, "scenario files or traces");
     let mut incomplete = second;
     incomplete.1.rows.pop();

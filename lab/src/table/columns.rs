@@ -1,4 +1,6 @@
 //! The columns of a result table: identity, swept fields, metrics, `events` and `digest`, in this order in each format.
+//! `csv` and `parquet` write and read the fixed columns by position: change both with a constant below, and also the
+//! lists in `mod.rs` and `docs/results.md`.
 
 use std::fmt;
 
@@ -55,7 +57,7 @@ impl SweptValue {
     }
 
     /// Converts the value to the type of its column: whole numbers to floats in a float column, any value to text in a
-    /// text column.
+    /// text column. A value that the column cannot hold stays as it is; Parquet then refuses to encode it.
     #[must_use]
     pub(crate) fn into_type(self, column_type: ColumnType) -> Self {
         match (column_type, self) {
@@ -70,7 +72,7 @@ impl ColumnType {
     /// All types.
     const ALL: [Self; 3] = [Self::Int, Self::Float, Self::Text];
 
-    /// The name in sidecars.
+    /// The name in sidecars, part of the file format.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Int => "int",
@@ -79,7 +81,7 @@ impl ColumnType {
         }
     }
 
-    pub(super) fn named(name: &str) -> Option<Self> {
+    pub(super) fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|column_type| column_type.name() == name)
     }
 
@@ -117,16 +119,17 @@ impl Schema {
 
 /// The columns of a file that can differ between versions and tables.
 pub(super) struct FileColumns {
-    /// Today's name of each swept column.
-    pub(super) swept: Vec<String>,
-    /// The index in [`Metrics::NAMES`] of each column of a metric.
-    pub(super) metrics: Vec<usize>,
+    /// Today's name of each swept column, in the order of the file.
+    pub(super) swept_names: Vec<String>,
+    /// The index in [`Metrics::NAMES`] of each column of a metric, ascending.
+    pub(super) metric_indices: Vec<usize>,
 }
 
 impl FileColumns {
     /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have former
-    /// names, and metrics that were added later may be absent.
-    pub(super) fn of_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
+    /// names, and metrics that were added later may be absent. The first metric's name ends the swept columns, so no
+    /// field of scenarios may have the name of a metric.
+    pub(super) fn from_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
         let metric_index = |name: &str| {
             let name = Metrics::current_name(name);
             Metrics::NAMES.iter().position(|metric| *metric == name)
@@ -136,25 +139,25 @@ impl FileColumns {
             .iter()
             .position(|name| metric_index(name).is_some())
             .ok_or_else(mismatch)?;
-        let (Some(metrics_end), Some(swept)) = (
+        let (Some(metrics_end), Some(swept_names)) = (
             header.len().checked_sub(TRAILING_COLUMNS.len()),
             header.get(IDENTITY_COLUMNS.len()..first_metric),
         ) else {
             return Err(mismatch());
         };
         let metric_names = header.get(first_metric..metrics_end).ok_or_else(mismatch)?;
-        let metrics: Option<Vec<usize>> = metric_names.iter().map(|name| metric_index(name)).collect();
-        let metrics = metrics.ok_or_else(mismatch)?;
-        let is_present =
-            |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_LATER.contains(name);
+        let metric_indices: Option<Vec<usize>> = metric_names.iter().map(|name| metric_index(name)).collect();
+        let metric_indices = metric_indices.ok_or_else(mismatch)?;
+        let is_present_or_later =
+            |(index, name): (usize, &&str)| metric_indices.contains(&index) || Metrics::ADDED_LATER.contains(name);
         if header.starts_with(&IDENTITY_COLUMNS)
             && header.ends_with(&TRAILING_COLUMNS)
-            && metrics.is_sorted_by(|a, b| a < b)
-            && Metrics::NAMES.iter().enumerate().all(is_present)
+            && metric_indices.is_sorted_by(|a, b| a < b)
+            && Metrics::NAMES.iter().enumerate().all(is_present_or_later)
         {
             Ok(Self {
-                swept: swept.iter().map(|name| current_field(name)).collect(),
-                metrics,
+                swept_names: swept_names.iter().map(|name| current_field(name)).collect(),
+                metric_indices,
             })
         } else {
             Err(mismatch())
@@ -162,13 +165,14 @@ impl FileColumns {
     }
 }
 
+/// Describes the first difference between the names of columns that every table has and the names in a file.
 fn columns_mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
     // Without this column the file belongs to another program, and a list of missing columns would mislead.
     if !found.contains(&IDENTITY_COLUMNS[0]) {
         return SchemaMismatch::NotOurs;
     }
-    let names: Vec<&str> = found.iter().map(|name| Metrics::current_name(name)).collect();
-    let is_missing = |name: &&&str| !names.contains(*name) && !Metrics::ADDED_LATER.contains(*name);
+    let current_names: Vec<&str> = found.iter().map(|name| Metrics::current_name(name)).collect();
+    let is_missing = |name: &&&str| !current_names.contains(*name) && !Metrics::ADDED_LATER.contains(*name);
     let missing = expected.iter().find(is_missing);
     SchemaMismatch::Columns(missing.map_or_else(
         || "its columns are in another order".to_owned(),

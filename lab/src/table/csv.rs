@@ -1,4 +1,6 @@
-//! Encoding and decoding of tables as CSV. A table reads back with equal values; `parquet` has the same columns.
+//! Encoding and decoding of tables as CSV, for `io`. A table reads back with equal values; `parquet` has the same
+//! columns. The fixed columns are written and read by position, in the order of `columns`. The sidecar holds the types
+//! of the swept columns; without it, they are guessed.
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -36,8 +38,8 @@ fn encode(table: &Table) -> Result<Vec<u8>, csv::Error> {
                 value.to_string()
             }
         });
-        let tail = [row.events.to_string(), row.digest.to_string()];
-        writer.write_record(identity.into_iter().chain(swept).chain(metrics).chain(tail))?;
+        let trailing = [row.events.to_string(), row.digest.to_string()];
+        writer.write_record(identity.into_iter().chain(swept).chain(metrics).chain(trailing))?;
     }
     writer.into_inner().map_err(|error| error.into_error().into())
 }
@@ -51,7 +53,7 @@ fn format_value(value: &SweptValue) -> String {
 }
 
 /// Returns the swept columns `names`, with the types in the sidecar or else guessed from the values.
-fn read_schema(
+fn schema_of_records(
     names: Vec<String>,
     sidecar_types: Option<Vec<ColumnType>>,
     records: &[csv::StringRecord],
@@ -86,8 +88,8 @@ pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismat
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
     let records = reader.records().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let FileColumns { swept, metrics } = FileColumns::of_header(&header.iter().collect::<Vec<_>>())?;
-    let schema = read_schema(swept, sidecar.column_types, &records)?;
+    let columns = FileColumns::from_header(&header.iter().collect::<Vec<_>>())?;
+    let schema = schema_of_records(columns.swept_names, sidecar.column_types, &records)?;
     if let Some(rows) = sidecar.row_count.filter(|rows| *rows != records.len()) {
         let found = records.len();
         return Err(SchemaMismatch::Broken(format!(
@@ -96,17 +98,19 @@ pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismat
     }
     Ok(Table {
         metadata: sidecar.metadata,
-        rows: decode_rows(&schema, &metrics, &records)?,
+        rows: decode_rows(&schema, &columns.metric_indices, &records)?,
         schema,
     })
 }
 
+/// Decodes the rows. `metric_indices` are the indices in [`Metrics::NAMES`] of the file's metrics, in its order.
 fn decode_rows(
     schema: &Schema,
-    metric_columns: &[usize],
+    metric_indices: &[usize],
     records: &[csv::StringRecord],
 ) -> Result<Vec<ResultRow>, SchemaMismatch> {
-    let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
+    let (mut last_preset, mut last_policy) = (LastText::default(), LastText::default());
+    let mut last_swept = Arc::from([]);
     let mut rows = Vec::with_capacity(records.len());
     for (index, record) in records.iter().enumerate() {
         let fields = CsvRecord { record, index };
@@ -114,31 +118,32 @@ fn decode_rows(
             .swept
             .iter()
             .enumerate()
-            .map(|(column, (_, column_type))| fields.swept(IDENTITY_COLUMNS.len() + column, *column_type))
+            .map(|(column, (_, column_type))| fields.parse_swept(IDENTITY_COLUMNS.len() + column, *column_type))
             .collect::<Result<_, _>>()?;
         // Rows are sorted by cell, so nearly all of them share the values of the previous row.
-        if *cell != *swept {
-            cell = Arc::from(swept);
+        if *last_swept != *swept {
+            last_swept = Arc::from(swept);
         }
         let first_metric = IDENTITY_COLUMNS.len() + schema.swept.len();
         let mut metrics = [f64::NAN; Metrics::COUNT];
-        for (column, metric) in (first_metric..).zip(metric_columns) {
+        for (column, metric_index) in (first_metric..).zip(metric_indices) {
             if !record[column].is_empty() {
-                metrics[*metric] = fields.get(column)?;
+                metrics[*metric_index] = fields.parse(column)?;
             }
         }
-        let events_column = first_metric + metric_columns.len();
+        let events_column = first_metric + metric_indices.len();
+        // The positions of `IDENTITY_COLUMNS` and `TRAILING_COLUMNS`.
         let row = ResultRow {
-            scenario_hash: fields.get(0)?,
-            preset: preset.intern(&record[1]),
-            policy: policy.intern(&record[2]),
-            n: fields.get(3)?,
-            ttis: fields.get(4)?,
-            seed: fields.get(5)?,
-            swept: Arc::clone(&cell),
+            scenario_hash: fields.parse(0)?,
+            preset: last_preset.intern(&record[1]),
+            policy: last_policy.intern(&record[2]),
+            n: fields.parse(3)?,
+            ttis: fields.parse(4)?,
+            seed: fields.parse(5)?,
+            swept: Arc::clone(&last_swept),
             metrics,
-            events: fields.get(events_column)?,
-            digest: fields.get(events_column + 1)?,
+            events: fields.parse(events_column)?,
+            digest: fields.parse(events_column + 1)?,
         };
         rows.push(row.check(index + 1)?);
     }
@@ -163,7 +168,7 @@ struct CsvRecord<'r> {
 }
 
 impl CsvRecord<'_> {
-    fn get<T: FromStr>(&self, column: usize) -> Result<T, SchemaMismatch> {
+    fn parse<T: FromStr>(&self, column: usize) -> Result<T, SchemaMismatch> {
         let text = &self.record[column];
         text.parse().map_err(|_| {
             let row = self.index + 1;
@@ -175,10 +180,10 @@ impl CsvRecord<'_> {
         })
     }
 
-    fn swept(&self, column: usize, column_type: ColumnType) -> Result<SweptValue, SchemaMismatch> {
+    fn parse_swept(&self, column: usize, column_type: ColumnType) -> Result<SweptValue, SchemaMismatch> {
         Ok(match column_type {
-            ColumnType::Int => SweptValue::Int(self.get(column)?),
-            ColumnType::Float => SweptValue::Float(self.get(column)?),
+            ColumnType::Int => SweptValue::Int(self.parse(column)?),
+            ColumnType::Float => SweptValue::Float(self.parse(column)?),
             ColumnType::Text => SweptValue::Text(self.record[column].to_owned()),
         })
     }

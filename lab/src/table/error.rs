@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use reveille_common::declare::describe_read_error;
 
-/// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
-/// metrics, and version 2, without the causes of missed events, are still read.
+/// The version of the table format, raised when a column changes its name or meaning, or a metric is added. Still read:
+/// version 1, with former names of metrics, and versions 2 and 3, without `Metrics::ADDED_LATER` or part of it.
 pub(crate) const TABLE_VERSION: u32 = 4;
 
 /// A reason why a result table cannot be read or written.
@@ -44,17 +44,17 @@ pub enum TableError {
     },
     /// The table has another version.
     #[error(
-        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads versions 1 to \
-         {TABLE_VERSION}; use that release, or run the sweep again",
+        "{}: is a result table of version {table_version}, written by reveille {reveille_version}; this reveille reads \
+         versions 1 to {TABLE_VERSION}; use that release, or run the sweep again",
         path.display()
     )]
     Version {
         /// The file.
         path: PathBuf,
-        /// The version found in it.
-        found: String,
+        /// The version of its format.
+        table_version: String,
         /// The version of Reveille that wrote it.
-        by: String,
+        reveille_version: String,
     },
     /// The columns differ from this version's.
     #[error("{}: is not a result table: {reason}; use a table written by `reveille sweep`", path.display())]
@@ -77,10 +77,13 @@ pub enum TableError {
     },
 }
 
-/// A mismatch between a file and the tables of this version.
+/// A mismatch between a file and the tables of this version. The variants are [`TableError`]'s, each with its reason.
 pub(super) enum SchemaMismatch {
     NotOurs,
-    Version { found: String, by: String },
+    Version {
+        table_version: String,
+        reveille_version: String,
+    },
     Columns(String),
     Broken(String),
 }
@@ -88,7 +91,7 @@ pub(super) enum SchemaMismatch {
 /// A read error without the file's name.
 pub(super) enum ReadFailure {
     Io(io::Error),
-    Refused(SchemaMismatch),
+    Mismatch(SchemaMismatch),
 }
 
 impl From<io::Error> for ReadFailure {
@@ -98,8 +101,8 @@ impl From<io::Error> for ReadFailure {
 }
 
 impl From<SchemaMismatch> for ReadFailure {
-    fn from(refusal: SchemaMismatch) -> Self {
-        Self::Refused(refusal)
+    fn from(mismatch: SchemaMismatch) -> Self {
+        Self::Mismatch(mismatch)
     }
 }
 
@@ -109,10 +112,17 @@ impl ReadFailure {
         let path = path.to_owned();
         match self {
             Self::Io(error) => TableError::Read { path, error },
-            Self::Refused(SchemaMismatch::NotOurs) => TableError::NotOurs { path },
-            Self::Refused(SchemaMismatch::Version { found, by }) => TableError::Version { path, found, by },
-            Self::Refused(SchemaMismatch::Columns(reason)) => TableError::Columns { path, reason },
-            Self::Refused(SchemaMismatch::Broken(reason)) => TableError::Broken { path, reason },
+            Self::Mismatch(SchemaMismatch::NotOurs) => TableError::NotOurs { path },
+            Self::Mismatch(SchemaMismatch::Version {
+                table_version,
+                reveille_version,
+            }) => TableError::Version {
+                path,
+                table_version,
+                reveille_version,
+            },
+            Self::Mismatch(SchemaMismatch::Columns(reason)) => TableError::Columns { path, reason },
+            Self::Mismatch(SchemaMismatch::Broken(reason)) => TableError::Broken { path, reason },
         }
     }
 }

@@ -1,7 +1,7 @@
-//! A small result table for tests of files, selections, merges and statistics.
+//! A small result table for the tests of `table`, `series`, `stats` and `metric_estimate`.
 //!
-//! Tests rely on the order of its rows, on an undefined metric, on names that need quotes in CSV and TOML, and on
-//! `info_p1` being equal to the seed. A new row changes the counts and means that they expect.
+//! Tests rely on the order of its rows, on an undefined metric, on texts that need quotes in CSV and TOML, on `info_p1`
+//! being equal to the seed, and on the version 0.1.0. A new row changes the counts and means that they expect.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::{ColumnType, Hash, ResultRow, Schema, SweptValue, Table, TableMetadat
 /// first cell. All other metrics grow with the seed and differ between columns, so that a swapped column shows; equal
 /// seeds of different cells have equal metrics.
 pub(crate) fn table() -> Table {
-    let row = |policy: &str, n, seed, lambda: f64, sensing: &str| {
+    let row = |policy: &str, n, seed, lambda: f64, sensing_kind: &str| {
         let mut metrics = [0.0; Metrics::COUNT];
         for ((index, value), name) in metrics.iter_mut().enumerate().zip(Metrics::NAMES) {
             *value = match name {
@@ -32,7 +32,7 @@ pub(crate) fn table() -> Table {
             swept: Arc::from([
                 SweptValue::Float(lambda),
                 SweptValue::Int(4),
-                SweptValue::Text(sensing.to_owned()),
+                SweptValue::Text(sensing_kind.to_owned()),
             ]),
             metrics,
             events: 100 + seed,
@@ -43,7 +43,7 @@ pub(crate) fn table() -> Table {
         metadata: TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: "devices = [10, 50]\nname = \"a \\\"quoted\\\" one\"\n".to_owned(),
-            grid: "00".repeat(32),
+            grid_hash: "00".repeat(32),
             shard: None,
         },
         schema: Schema {

@@ -1,4 +1,5 @@
 //! Tables in files: reading by the file's extension, and atomic writing. `parquet` and `csv` encode and decode them.
+//! The version of the format is in the metadata: a CSV file without a sidecar is read without a check of its version.
 
 use std::fs::File;
 use std::io;
@@ -48,12 +49,12 @@ impl TableMetadata {
     /// # Errors
     /// See [`Table::read`].
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        let read = match Format::from_path(path) {
+        let metadata = match Format::from_path(path) {
             Format::Parquet => open_file(path).and_then(|file| Ok(parquet::decode_metadata(file)?)),
             // The table may have no sidecar, but it must exist.
             Format::Csv => open_file(path).and_then(|_| Ok(read_sidecar(path)?.metadata)),
         };
-        read.map_err(|failure| failure.with_path(path))
+        metadata.map_err(|failure| failure.with_path(path))
     }
 }
 
@@ -63,17 +64,18 @@ impl Table {
     /// # Errors
     /// If the file cannot be read, is not a result table, has another version, or is cut off or corrupt.
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        let read = match Format::from_path(path) {
+        let table = match Format::from_path(path) {
             Format::Parquet => open_file(path).and_then(|file| Ok(parquet::decode(file)?)),
             Format::Csv => read_csv(path),
         };
-        read.map_err(|failure| failure.with_path(path))
+        table.map_err(|failure| failure.with_path(path))
     }
 
-    /// Writes the table to `path` in `format`, atomically: under another name, synced to the disk and then renamed.
+    /// Writes the table to `path` in `format`, atomically: under another name, synced to the disk and then renamed. The
+    /// extension of `path` must fit `format`, because [`Self::read`] goes by the extension.
     ///
     /// # Errors
-    /// If the file cannot be written; an existing file is unchanged.
+    /// If the file cannot be written; an existing file is unchanged. Also if a value does not fit its column.
     pub fn write(&self, path: &Path, format: Format) -> Result<(), TableError> {
         let bytes = match format {
             Format::Parquet => parquet::to_bytes(self),
@@ -83,7 +85,7 @@ impl Table {
             path: path.to_owned(),
             reason,
         })?;
-        let write = |path: &Path, bytes: &[u8]| {
+        let write_bytes = |path: &Path, bytes: &[u8]| {
             replace(path, bytes).map_err(|error| TableError::Write {
                 path: path.to_owned(),
                 error,
@@ -91,9 +93,9 @@ impl Table {
         };
         // The sidecar first: a table that exists counts as complete, so its sidecar must exist too.
         if format == Format::Csv {
-            write(&sidecar::sidecar_path(path), sidecar::to_text(self).as_bytes())?;
+            write_bytes(&sidecar::sidecar_path(path), sidecar::to_text(self).as_bytes())?;
         }
-        write(path, &bytes)
+        write_bytes(path, &bytes)
     }
 
     /// Removes the table in `format` at `path`, and its sidecar.

@@ -1,4 +1,5 @@
-//! The origin of a table: key-value metadata in Parquet files, the sidecar of CSV files. The keys are a file format.
+//! The origin of a table: key-value metadata in Parquet files, the sidecar of CSV files. The keys at the end are a file
+//! format: other programs and some tests repeat them as text.
 
 use super::error::{SchemaMismatch, TABLE_VERSION};
 
@@ -7,11 +8,12 @@ use super::error::{SchemaMismatch, TABLE_VERSION};
 pub struct TableMetadata {
     /// The version of Reveille that made the runs.
     pub version: String,
-    /// The experiment as TOML; empty for a CSV file without its sidecar.
+    /// The experiment as TOML. A CSV file without its sidecar has no metadata: this text, the version and the hash are
+    /// then empty.
     pub experiment: String,
     /// SHA-256 over the scenarios of all cells, hexadecimal.
-    pub grid: String,
-    /// The shard of the experiment; `None` for the whole experiment.
+    pub grid_hash: String,
+    /// The shard `i/n` of the experiment, or the shards `i,j/n` of a merge; `None` for the whole experiment.
     pub shard: Option<String>,
 }
 
@@ -28,7 +30,7 @@ impl TableMetadata {
             (TABLE_VERSION_KEY, TABLE_VERSION.to_string()),
             (REVEILLE_VERSION_KEY, self.version.clone()),
             (EXPERIMENT_KEY, self.experiment.clone()),
-            (GRID_KEY, self.grid.clone()),
+            (GRID_KEY, self.grid_hash.clone()),
         ];
         if let Some(shard) = &self.shard {
             pairs.push((SHARD_KEY, shard.clone()));
@@ -36,24 +38,24 @@ impl TableMetadata {
         pairs
     }
 
-    /// Parses key-value metadata, after a check of the table's version.
-    pub(super) fn from_pairs<'p>(get: impl Fn(&str) -> Option<&'p str>) -> Result<Self, SchemaMismatch> {
+    /// Parses key-value metadata, after a check of the table's version. `value_of` returns the value of a key.
+    pub(super) fn from_pairs<'p>(value_of: impl Fn(&str) -> Option<&'p str>) -> Result<Self, SchemaMismatch> {
         // The version first: in another one the other keys may have another meaning.
-        let Some(version) = get(TABLE_VERSION_KEY) else {
+        let Some(table_version) = value_of(TABLE_VERSION_KEY) else {
             return Err(SchemaMismatch::NotOurs);
         };
-        if !(1..=TABLE_VERSION).any(|readable| version == readable.to_string()) {
+        if !(1..=TABLE_VERSION).any(|readable| table_version == readable.to_string()) {
             return Err(SchemaMismatch::Version {
-                found: version.to_owned(),
-                by: get(REVEILLE_VERSION_KEY).unwrap_or("unknown").to_owned(),
+                table_version: table_version.to_owned(),
+                reveille_version: value_of(REVEILLE_VERSION_KEY).unwrap_or("unknown").to_owned(),
             });
         }
-        let text = |key: &str| get(key).unwrap_or_default().to_owned();
+        let text_or_empty = |key: &str| value_of(key).unwrap_or_default().to_owned();
         Ok(Self {
-            version: text(REVEILLE_VERSION_KEY),
-            experiment: text(EXPERIMENT_KEY),
-            grid: text(GRID_KEY),
-            shard: get(SHARD_KEY).map(str::to_owned),
+            version: text_or_empty(REVEILLE_VERSION_KEY),
+            experiment: text_or_empty(EXPERIMENT_KEY),
+            grid_hash: text_or_empty(GRID_KEY),
+            shard: value_of(SHARD_KEY).map(str::to_owned),
         })
     }
 }

@@ -1,6 +1,6 @@
 //! The result table: one row per run, as Parquet or CSV. `reveille sweep` writes it; reports, figures and the Python
-//! package read it. The columns are a file format: raise `TABLE_VERSION` when one changes its name or
-//! meaning. `docs/results.md` lists them.
+//! package read it. The columns are a file format: raise `TABLE_VERSION` when one changes its name or meaning, or a
+//! metric is added. `docs/results.md` lists them.
 //!
 //! | columns | content |
 //! |---|---|
@@ -9,7 +9,8 @@
 //! | one per metric of [`reveille_common::score`] | the metric; empty if it is not defined (no events) |
 //! | `events`, `digest` | number of counted events; the run's digest |
 //!
-//! Rows are in the order of the experiment's cells, then of seeds. Equal rows always give the same bytes.
+//! Rows are in the order of the experiment's cells, then of seeds; shards and `train record` rely on this order. Equal
+//! tables have the same bytes in a file.
 
 mod columns;
 mod csv;

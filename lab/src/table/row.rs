@@ -12,7 +12,7 @@ use reveille_common::score::Metrics;
 use super::columns::SweptValue;
 use super::error::SchemaMismatch;
 
-/// A SHA-256 sum; shown and read as 64 hexadecimal digits.
+/// A SHA-256 sum; shown and read as 64 hexadecimal digits, in tables and journals.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Hash(pub [u8; 32]);
 
@@ -38,8 +38,8 @@ impl FromStr for Hash {
             return Err(invalid());
         }
         let mut bytes = [0; 32];
-        for (byte, at) in bytes.iter_mut().zip((0..64).step_by(2)) {
-            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| invalid())?;
+        for (byte, position) in bytes.iter_mut().zip((0..64).step_by(2)) {
+            *byte = u8::from_str_radix(&text[position..position + 2], 16).map_err(|_| invalid())?;
         }
         Ok(Self(bytes))
     }
@@ -90,21 +90,22 @@ impl ResultRow {
         }
     }
 
-    /// Checks that the metrics are possible values; `number` is the row's, from 1.
-    pub(super) fn check(self, number: usize) -> Result<Self, SchemaMismatch> {
+    /// Returns the row, if its metrics are possible values. Both decoders call this; `row_number` counts from 1.
+    pub(super) fn check(self, row_number: usize) -> Result<Self, SchemaMismatch> {
         // False for NaN, which stands for an undefined metric.
         let is_impossible = |value: &f64| value.abs() > MAX_METRIC;
         match self.metrics.iter().position(is_impossible) {
             None => Ok(self),
             Some(index) => Err(SchemaMismatch::Broken(format!(
-                "row {number}, {}: no run can have the value {:e}",
+                "row {row_number}, {}: no run can have the value {:e}",
                 Metrics::NAMES[index],
                 self.metrics[index]
             ))),
         }
     }
 
-    /// Returns the metric called `name`, `events` included; `None` if it does not exist or is not defined for this run.
+    /// Returns the metric called `name`, which may be `events` or a former name. Returns `None` if it does not exist or
+    /// is not defined for this run.
     pub fn metric(&self, name: &str) -> Option<f64> {
         if name == "events" {
             return Some(self.events as f64);
@@ -115,7 +116,7 @@ impl ResultRow {
     }
 }
 
-/// Compares bit for bit; an undefined metric equals an undefined metric.
+/// Compares metrics bit for bit; an undefined metric equals an undefined metric.
 impl PartialEq for ResultRow {
     fn eq(&self, other: &Self) -> bool {
         let identity = |row: &Self| (row.scenario_hash, row.n, row.ttis, row.seed, row.events, row.digest);

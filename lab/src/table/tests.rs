@@ -1,12 +1,19 @@
 //! Tests of [`Table::read`] and [`Table::write`] in both formats: round trips, older and newer versions, and damaged
-//! files.
+//! files. Texts such as `reveille.rows` repeat the keys of `metadata`. Not checked: files of former releases, which the
+//! tests imitate.
 
 use std::fs;
 use std::path::PathBuf;
 
 use reveille_common::score::Metrics;
 
+use super::error::TABLE_VERSION;
 use super::*;
+
+/// Returns the line of a sidecar with the version of the format.
+fn version_line(version: u32) -> String {
+    format!("\"reveille.table\" = \"{version}\"")
+}
 
 /// A temporary folder that is removed on drop.
 struct TableTestFolder(PathBuf);
@@ -52,7 +59,7 @@ fn empty_and_large_tables_round_trip() {
     let rows = std::mem::take(&mut table.rows);
     table.write(&path, Format::Parquet).expect("written");
     assert_eq!(Table::read(&path).expect("read"), table);
-    // More rows than fit into one row group of the file.
+    // More rows than fit into two row groups of the file.
     table.rows = rows.iter().cycle().take(150_001).cloned().collect();
     table.write(&path, Format::Parquet).expect("written");
     assert!(Table::read(&path).expect("read") == table);
@@ -64,15 +71,16 @@ fn tables_with_former_names_are_read() {
     let path = folder.path("t.csv");
     let table = fixtures::table();
     table.write(&path, Format::Csv).expect("written");
-    for (file, new_name, old_name) in [
+    let (today, version_1) = (version_line(TABLE_VERSION), version_line(1));
+    for (file, new_text, old_text) in [
         ("t.csv", ",unpowered_pct", ",dark_pct"),
         ("t.csv", ",removed_pct", ",gone_pct"),
-        ("t.csv.toml", "\"reveille.table\" = \"3\"", "\"reveille.table\" = \"1\""),
+        ("t.csv.toml", today.as_str(), version_1.as_str()),
     ] {
         let file = folder.path(file);
         let text = fs::read_to_string(&file).expect("there");
-        assert!(text.contains(new_name), "{new_name}");
-        fs::write(&file, text.replace(new_name, old_name)).expect("written");
+        assert!(text.contains(new_text), "{new_text}");
+        fs::write(&file, text.replace(new_text, old_text)).expect("written");
     }
     assert_eq!(Table::read(&path).expect("a table of version 1"), table);
 }
@@ -85,11 +93,15 @@ fn invalid_files_are_refused_with_the_reason() {
     table.write(&path, Format::Csv).expect("written");
     let sidecar = folder.path("t.csv.toml");
     let text = fs::read_to_string(&sidecar).expect("a side-car");
-    let newer = text.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"7\"");
+    let newer_version = TABLE_VERSION + 1;
+    let newer = text.replace(&version_line(TABLE_VERSION), &version_line(newer_version));
     assert_ne!(newer, text);
     fs::write(&sidecar, newer).expect("written");
     let message = Table::read(&path).expect_err("another version").to_string();
-    assert!(message.contains("version 7") && message.contains("t.csv"), "{message}");
+    assert!(
+        message.contains(&format!("version {newer_version}")) && message.contains("t.csv"),
+        "{message}"
+    );
     fs::remove_file(&sidecar).expect("a side-car");
     assert_eq!(Table::read(&path).expect("no side-car is needed").rows, table.rows);
     for (from, to, cause) in [
@@ -190,25 +202,29 @@ fn a_parquet_file_of_another_version_is_refused() {
     let folder = TableTestFolder::new("parquet-version");
     let path = folder.path("t.parquet");
     fixtures::table().write(&path, Format::Parquet).expect("written");
-    let read_with_version = |version: &str| {
+    let read_with_version = |version: u32| {
         let reader = SerializedFileReader::new(fs::File::open(&path).expect("there")).expect("Parquet");
         let metadata = reader.metadata().file_metadata();
         let file = fs::File::create(folder.path("other.parquet")).expect("writable");
         let pairs = metadata.key_value_metadata().expect("ours").iter().map(|pair| {
             let value = pair.value.clone().filter(|_| pair.key != metadata::TABLE_VERSION_KEY);
-            (pair.key.clone(), value.unwrap_or_else(|| version.to_owned()))
+            (pair.key.clone(), value.unwrap_or_else(|| version.to_string()))
         });
         let writer = Writer::begin(file, metadata.schema().clone(), pairs);
         writer.and_then(Writer::finish).expect("written");
         Table::read(&folder.path("other.parquet"))
     };
-    assert!(read_with_version("3").expect("this version").rows.is_empty());
-    let message = read_with_version("7").expect_err("another version").to_string();
+    assert!(read_with_version(TABLE_VERSION).expect("this version").rows.is_empty());
+    let newer_version = TABLE_VERSION + 1;
+    let message = read_with_version(newer_version)
+        .expect_err("another version")
+        .to_string();
     for part in [
         "other.parquet",
-        "version 7",
+        &format!("version {newer_version}"),
+        // The version of the fixture.
         "by reveille 0.1.0",
-        "reads versions 1 to 3",
+        &format!("reads versions 1 to {TABLE_VERSION}"),
     ] {
         assert!(message.contains(part), "{message}");
     }

@@ -206,7 +206,7 @@ pub(super) fn describe_origins(report: &ClaimReport<'_>) -> Vec<String> {
         format!(
             "{}: {} runs by Reveille {version}{shard}; SHA-256 of the scenarios of the experiment {}; of the digests \
              of the runs in order {}.",
-            table.name, table.run_count, metadata.grid, table.digest_hash
+            table.name, table.run_count, metadata.grid_hash, table.digest_hash
         )
     };
     report.results.tables.iter().map(sentence).collect()
