@@ -9,7 +9,7 @@
 //! | one per metric of [`reveille_common::score`] | the metric; empty if it is not defined (no events) |
 //! | `events`, `digest` | number of counted events; the run's digest |
 //!
-//! Rows are in the order of the experiment's cells, then of seeds; shards and `train record` rely on this order. Equal
+//! Rows are in the order of the experiment's cells, then of seeds; `sweep` relies on this order to merge shards. Equal
 //! tables have the same bytes in a file.
 
 mod columns;

@@ -1,5 +1,5 @@
-//! Checkpoints of a training in files, written after every episode. A checkpoint is a file of [`LearnedTables`], which
-//! have their own format version.
+//! Checkpoints of a training in files, written after every episode, for `reveille train q-learning`. A checkpoint is a
+//! file of [`LearnedTables`], which have their own format version.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::{Trainer, TrainingError, TrainingProgress};
 use crate::io::replace;
 
 impl Trainer {
-    /// Resumes from the checkpoint at `path`. Returns `false` without one.
+    /// Resumes from the checkpoint at `path`. Returns whether there is one; without one, the training is unchanged.
     ///
     /// # Errors
     /// If the checkpoint is damaged or belongs to another training.
@@ -30,7 +30,8 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Trains as [`Trainer::train`] does, and writes the tables after each episode to the file `checkpoint_path`.
+    /// Trains as [`Trainer::train`] does, and writes the tables after each episode to the file `checkpoint_path`, which
+    /// the caller removes in the end. Returns `false` if the observer has stopped it.
     ///
     /// # Errors
     /// If the checkpoint cannot be written or threads cannot be started.

@@ -4,7 +4,8 @@
 //! An episode is a run of the deployed policy, with `learn` on, from random batteries and the tables of the previous
 //! episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each look-back and N is trained
 //! independently, one episode after another. Tables depend on every seed and draw here, and on neither threads nor
-//! interruptions.
+//! interruptions. `reveille train q-learning` and `tuning` train; [`learned_tables_of`] writes the tables of single
+//! runs.
 
 mod io;
 
@@ -26,7 +27,8 @@ use reveille_common::units::Energy;
 
 use crate::run::{Run, RunOptions, StopWhen};
 
-/// The version of Reveille, as files name it.
+/// The version of Reveille, as files of tables and the history of `tuning` name it. Checkpoints of another version are
+/// refused.
 pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
 /// An offset to the seeds of episodes, far from the seeds of evaluations.
 pub(crate) const EPISODE_SEED_OFFSET: u64 = 0x7EA1_C0DE_0000_0000;
@@ -121,16 +123,18 @@ impl TrainingProgress for () {
 
 /// A training that can start or resume.
 pub struct Trainer {
+    /// The scenario of the training, with `settings` as its policy's. Each episode replaces N, the length and the seed.
     scenario: Scenario,
     settings: QLearningSettings,
-    training: QTrainingConfig,
+    config: QTrainingConfig,
     /// The tables, by look-back and then by N, both ascending.
     entries: Vec<TableSet>,
 }
 
 impl Trainer {
     /// Creates a training for each of `lookbacks`, or for the scenario's if the slice is empty, and each N of
-    /// `devices`. It uses the scenario's area and weights; `training` sets the length.
+    /// `devices`. It uses the scenario's area, weights and seed; `config` sets the rest, except that its seed is
+    /// ignored. The caller checks `config.ttis` against [`Scenario::max_ttis`] with the largest N.
     ///
     /// # Errors
     /// If the policy is not `q-learning`, or a number is out of range.
@@ -138,7 +142,7 @@ impl Trainer {
         scenario: &Scenario,
         devices: &[u32],
         lookbacks: &[Lookback],
-        training: &QTrainingConfig,
+        config: &QTrainingConfig,
     ) -> Result<Self, TrainingError> {
         let Some(settings) = scenario.policy.settings().downcast_ref::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
@@ -154,11 +158,11 @@ impl Trainer {
         if lookbacks.is_empty() {
             lookbacks.push(settings.lookback);
         }
-        if let Some(bad) = lookbacks
+        if let Some(lookback) = lookbacks
             .iter()
             .find(|lookback| !(1..=MAX_WINDOW).contains(&lookback.window()))
         {
-            return Err(invalid("windows", bad, "must be from 1 to 1000 TTIs"));
+            return Err(invalid("windows", lookback, "must be from 1 to 1000 TTIs"));
         }
         lookbacks.sort_unstable();
         lookbacks.dedup();
@@ -167,15 +171,17 @@ impl Trainer {
             ttis,
             epsilon,
             ..
-        } = training;
+        } = config;
+        // Fewer than 2²⁰: the seeds of `run_episode` rely on it.
         if !(1..=100_000).contains(episodes) {
             return Err(invalid("episodes", episodes, "must be from 1 to 100000"));
         }
         if !(10..=100_000_000).contains(ttis) {
             return Err(invalid("episode-ttis", ttis, "must be from 10 to 100000000 TTIs"));
         }
-        if let Some(bad) = [epsilon.0, epsilon.1].iter().find(|e| !(0.0..1.0).contains(*e)) {
-            return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
+        let rates = [epsilon.0, epsilon.1];
+        if let Some(rate) = rates.iter().find(|rate| !(0.0..1.0).contains(*rate)) {
+            return Err(invalid("epsilon", rate, "must be at least 0 and less than 1"));
         }
         // Rounded as in a checkpoint, so that a resumed training learns the same tables.
         let new_entry = |devices: u32, lookback: Lookback| {
@@ -195,9 +201,9 @@ impl Trainer {
         };
         Ok(Self {
             entries,
-            training: QTrainingConfig {
+            config: QTrainingConfig {
                 seed: scenario.run.seed,
-                ..training.clone()
+                ..config.clone()
             },
             scenario: Scenario {
                 policy: PolicyChoice::new(scenario.policy.kind(), Arc::new(settings.clone())),
@@ -209,11 +215,12 @@ impl Trainer {
 
     /// The number of outstanding episodes.
     pub fn episodes_left(&self) -> u64 {
-        let left = |entry: &TableSet| self.training.episodes.saturating_sub(entry.curve.len() as u64);
-        self.entries.iter().map(left).sum()
+        // Each episode adds a point to the curve.
+        let left_of = |entry: &TableSet| self.config.episodes.saturating_sub(entry.curve.len() as u64);
+        self.entries.iter().map(left_of).sum()
     }
 
-    /// The current tables.
+    /// Returns the current tables as the content of a file, also of a checkpoint.
     pub fn learned(&self) -> LearnedTables {
         // A file names the scenario of its first entry.
         let mut first_scenario = self.scenario.clone();
@@ -224,7 +231,7 @@ impl Trainer {
             weights: self.settings.weights,
             begun_from: None,
             schedule: self.settings.schedule,
-            training: self.training.clone(),
+            training: self.config.clone(),
             site: TrainingSite::from_site(&self.scenario.site()),
             entries: self.entries.clone(),
         }
@@ -235,25 +242,30 @@ impl Trainer {
     /// # Errors
     /// If the checkpoint belongs to another training; the error names the differences.
     pub fn resume_from(&mut self, checkpoint: LearnedTables) -> Result<(), String> {
-        let own = self.learned();
-        let device_counts = |learned: &LearnedTables| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
-        let mut reasons = own.site.differences(&checkpoint.site);
+        let expected = self.learned();
+        let device_counts =
+            |learned: &LearnedTables| learned.entries.iter().map(|entry| entry.devices).collect::<Vec<_>>();
+        let mut reasons = expected.site.differences(&checkpoint.site);
         let differences = [
-            (checkpoint.made_by != own.made_by, "another version of Reveille"),
-            (checkpoint.scenario != own.scenario, "another scenario"),
-            (!is_same_weights(&checkpoint.weights, &own.weights), "other weights"),
+            (checkpoint.made_by != expected.made_by, "another version of Reveille"),
+            (checkpoint.scenario != expected.scenario, "another scenario"),
             (
-                !is_same_schedule(&checkpoint.schedule, &own.schedule),
+                !is_same_weights(&checkpoint.weights, &expected.weights),
+                "other weights",
+            ),
+            (
+                !is_same_schedule(&checkpoint.schedule, &expected.schedule),
                 "another learning rate or optimism",
             ),
             (
-                !is_same_config(&checkpoint.training, &own.training),
+                !is_same_config(&checkpoint.training, &expected.training),
                 "other episodes, epsilon or seed",
             ),
-            (checkpoint.lookbacks() != own.lookbacks(), "other windows"),
+            (checkpoint.lookbacks() != expected.lookbacks(), "other windows"),
             (
                 // The entries also differ with the windows, which are named above.
-                checkpoint.lookbacks() == own.lookbacks() && device_counts(&checkpoint) != device_counts(&own),
+                checkpoint.lookbacks() == expected.lookbacks()
+                    && device_counts(&checkpoint) != device_counts(&expected),
                 "other numbers of devices",
             ),
         ];
@@ -294,7 +306,7 @@ impl Trainer {
         let Self {
             scenario,
             settings,
-            training,
+            config,
             entries,
         } = self;
         let save_entry = |index: usize, entry: &TableSet| {
@@ -304,13 +316,14 @@ impl Trainer {
             save(&tables)
         };
         // The largest N of a look-back first: otherwise one thread would still train it after all others have finished.
-        let mut work: Vec<(usize, &mut TableSet)> = entries.iter_mut().enumerate().collect();
-        work.reverse();
+        let mut largest_first: Vec<(usize, &mut TableSet)> = entries.iter_mut().enumerate().collect();
+        largest_first.reverse();
         let are_complete = pool.install(|| {
-            work.par_iter_mut()
+            largest_first
+                .par_iter_mut()
                 .map(|(index, entry)| {
-                    while (entry.curve.len() as u64) < training.episodes {
-                        let Some(next) = run_episode(scenario, settings, training, entry, observer) else {
+                    while (entry.curve.len() as u64) < config.episodes {
+                        let Some(next) = run_episode(scenario, settings, config, entry, observer) else {
                             return Ok(false);
                         };
                         **entry = next;
@@ -337,37 +350,42 @@ fn sorted_numbers(name: &'static str, numbers: &[u32], max: u32) -> Result<Vec<u
 }
 
 /// Returns whether the numbers are equal up to the last bits, which reading a file may change.
-fn are_nearly_equal(saved: &[f64], own: &[f64]) -> bool {
-    let mut pairs = saved.iter().zip(own);
+fn are_nearly_equal(saved: &[f64], expected: &[f64]) -> bool {
+    let mut pairs = saved.iter().zip(expected);
     pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(b.abs()))
 }
 
-fn is_same_weights(saved: &QWeights, own: &QWeights) -> bool {
-    are_nearly_equal(&[saved.mu1, saved.mu2, saved.zeta], &[own.mu1, own.mu2, own.zeta])
+// The functions below list the fields of their types: add a new field there, or checkpoints ignore it.
+
+fn is_same_weights(saved: &QWeights, expected: &QWeights) -> bool {
+    let [saved, expected] = [saved, expected].map(|weights| [weights.mu1, weights.mu2, weights.zeta]);
+    are_nearly_equal(&saved, &expected)
 }
 
-fn is_same_schedule(saved: &Schedule, own: &Schedule) -> bool {
-    let [a, b] = [saved, own].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
-    are_nearly_equal(&a, &b)
+fn is_same_schedule(saved: &Schedule, expected: &Schedule) -> bool {
+    let [saved, expected] =
+        [saved, expected].map(|schedule| [schedule.rate_decay, schedule.rate_floor, schedule.optimism]);
+    are_nearly_equal(&saved, &expected)
 }
 
-fn is_same_config(saved: &QTrainingConfig, own: &QTrainingConfig) -> bool {
-    let [a, b] = [saved, own].map(|t| [t.epsilon.0, t.epsilon.1]);
-    are_nearly_equal(&a, &b) && (saved.episodes, saved.ttis, saved.seed) == (own.episodes, own.ttis, own.seed)
+fn is_same_config(saved: &QTrainingConfig, expected: &QTrainingConfig) -> bool {
+    let [saved_epsilon, expected_epsilon] = [saved, expected].map(|config| [config.epsilon.0, config.epsilon.1]);
+    are_nearly_equal(&saved_epsilon, &expected_epsilon)
+        && (saved.episodes, saved.ttis, saved.seed) == (expected.episodes, expected.ttis, expected.seed)
 }
 
 /// Returns the tables of `entry` after another episode; `None` if the observer has stopped it.
 fn run_episode(
     scenario: &Scenario,
     settings: &QLearningSettings,
-    training: &QTrainingConfig,
+    config: &QTrainingConfig,
     entry: &TableSet,
     observer: &impl TrainingProgress,
 ) -> Option<TableSet> {
     let episode_index = entry.curve.len() as u64;
-    let (first_epsilon, last_epsilon) = training.epsilon;
+    let (first_epsilon, last_epsilon) = config.epsilon;
     // A single episode would be 0/0; it uses the first ε.
-    let progress = episode_index as f64 / (training.episodes - 1).max(1) as f64;
+    let progress = episode_index as f64 / (config.episodes - 1).max(1) as f64;
     let settings = QLearningSettings {
         learn: true,
         epsilon: [first_epsilon + progress * (last_epsilon - first_epsilon); 2].into(),
@@ -377,23 +395,23 @@ fn run_episode(
     };
     // There are fewer than 2²⁰ episodes, so two N never share a seed. A test in `tuning` repeats the formula.
     let seed = EPISODE_SEED_OFFSET
-        .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
+        .wrapping_add(config.seed.wrapping_mul(0x1_0000_0001))
         .wrapping_add(u64::from(entry.devices) << 20)
         .wrapping_add(episode_index);
-    let mut scenario_of_episode = scenario.with_seed(seed);
-    scenario_of_episode.run.devices = entry.devices;
-    scenario_of_episode.run.ttis = training.ttis;
-    scenario_of_episode.run.warm_up = EPISODE_WARM_UP;
-    scenario_of_episode.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
+    let mut episode_scenario = scenario.with_seed(seed);
+    episode_scenario.run.devices = entry.devices;
+    episode_scenario.run.ttis = config.ttis;
+    episode_scenario.run.warm_up = EPISODE_WARM_UP;
+    episode_scenario.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
     // Each ranking has a separate table, and an episode trains one of them.
-    scenario_of_episode.bs.ranking = if episode_index.is_multiple_of(2) {
+    episode_scenario.bs.ranking = if episode_index.is_multiple_of(2) {
         WakeUpRanking::Posterior
     } else {
         WakeUpRanking::P42
     };
-    let mut prepared = PreparedRun::without_pilots(&scenario_of_episode);
+    let mut prepared = PreparedRun::without_pilots(&episode_scenario);
     // From random batteries, so that the tables cover every battery level.
-    let mut stream = Stream::new(scenario_of_episode.run.seed, Purpose::Training, 0);
+    let mut stream = Stream::new(episode_scenario.run.seed, Purpose::Training, 0);
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
@@ -404,16 +422,15 @@ fn run_episode(
     };
     let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
-    let mut learned = tables_of(&outcome).filter(|_| outcome.is_complete)?;
-    learned
-        .curve
-        .push(curve_point(&outcome, (episode_index + 1) * training.ttis));
-    learned.round();
-    Some(learned)
+    let mut next = tables_of(&outcome).filter(|_| outcome.is_complete)?;
+    next.curve
+        .push(curve_point(&outcome, (episode_index + 1) * config.ttis));
+    next.round();
+    Some(next)
 }
 
-/// Returns the tables learned in a run of `scenario` with this `outcome`, as a file of one entry. Returns `None` for a
-/// policy that does not learn.
+/// Returns the tables learned in a run of `scenario` with this `outcome`, as the content of a file with one entry, for
+/// run folders. Returns `None` for a policy that does not learn.
 pub fn learned_tables_of(scenario: &Scenario, outcome: &RunOutcome) -> Option<LearnedTables> {
     let settings = scenario.policy.settings().downcast_ref::<QLearningSettings>()?;
     let mut entry = tables_of(outcome)?;
@@ -437,12 +454,14 @@ pub fn learned_tables_of(scenario: &Scenario, outcome: &RunOutcome) -> Option<Le
     })
 }
 
+/// Returns the tables at the end of a run, without a point for this run on their curve.
 fn tables_of(outcome: &RunOutcome) -> Option<TableSet> {
     outcome.learned.as_ref().and_then(LearnedState::get).cloned()
 }
 
 /// Returns the point on the learning curve at `ttis`, after a run with this `outcome`.
 fn curve_point(outcome: &RunOutcome, ttis: u64) -> CurvePoint {
+    // The name of a fact of `q-learning`. It is absent in a run without decisions.
     let reward = outcome.facts.iter().find(|(name, _)| *name == "reward_per_tti");
     // JSON has no NaN, the value of these metrics in an episode without events.
     let defined = |x: f64| if x.is_nan() { 0.0 } else { x };

@@ -17,6 +17,7 @@ const N: usize = 6;
 const ACTIONS: usize = 1 << N;
 /// E_max in units; E_idle is 1, an arrival brings 1, everything else is free.
 const E_MAX: usize = 4;
+/// The number of battery levels, from 0 to E_max.
 const LEVELS: usize = E_MAX + 1;
 /// The number of battery vectors. A state is the index of one, with one digit of base `LEVELS` for each device.
 const STATES: usize = LEVELS.pow(N as u32);
@@ -24,19 +25,21 @@ const STATES: usize = LEVELS.pow(N as u32);
 const D_MAX: f64 = 4.0;
 /// Cells along d_max, as in `bs/src/beliefs/coverage/` for detection by range.
 const CELLS_PER_RANGE: f64 = 15.0;
+/// α. Events are so rare that none changes the states of the network.
 const ALPHA: f64 = 1e-5;
+/// ζ, the discount of the learner.
 const ZETA: f64 = 0.95;
 /// The number of sweeps, enough for a discounted value to converge.
 const SWEEPS: usize = 500;
 /// The largest final distance between the least and the largest addition of a sweep.
 const SPAN: f64 = 1e-5;
 
-/// A network in which only sensing costs energy.
+/// A network in which only sensing costs energy. Sets of devices and actions are numbers with a bit for each device.
 struct SixDevices {
-    /// The probability of an arrival.
-    p: f64,
-    /// The weight α μ1.
-    w: f64,
+    /// The probability of an arrival of energy at a device in a TTI, λe^−λ.
+    arrival_probability: f64,
+    /// The weight α μ1 of the uncovered share in r(k).
+    uncovered_weight: f64,
     /// Uncovered share of the area, by the set of sensing devices.
     uncovered_shares: [f64; ACTIONS],
     scenario: Scenario,
@@ -44,7 +47,7 @@ struct SixDevices {
 }
 
 impl SixDevices {
-    fn new(area: Area, points: &[(f64, f64)], lambda: f64, w: f64) -> Self {
+    fn new(area: Area, points: &[(f64, f64)], lambda: f64, uncovered_weight: f64) -> Self {
         let points: Vec<Point> = points.iter().map(|&(x, y)| Point::new(x, y)).collect();
         assert_eq!(points.len(), N);
         let scenario = scenario_of(
@@ -53,7 +56,7 @@ impl SixDevices {
             &[
                 "policy.q-learning.window=1",
                 &format!("policy.q-learning.zeta={ZETA}"),
-                &format!("policy.q-learning.mu1={}", w / ALPHA),
+                &format!("policy.q-learning.mu1={}", uncovered_weight / ALPHA),
                 &format!("events.alpha={ALPHA}"),
                 &format!("energy.e_max={E_MAX}"),
                 "energy.e_tx=0",
@@ -61,8 +64,8 @@ impl SixDevices {
             ],
         );
         let mut network = Self {
-            p: lambda * libm::exp(-lambda),
-            w,
+            arrival_probability: lambda * libm::exp(-lambda),
+            uncovered_weight,
             uncovered_shares: [0.0; ACTIONS],
             scenario,
             points,
@@ -80,16 +83,18 @@ impl SixDevices {
     /// Returns the expectation of r(k) for `action` if the devices of `empty` have empty batteries: those sense only
     /// after an arrival.
     fn reward(&self, empty: usize, action: usize) -> f64 {
-        let (sure, maybe) = (action & !empty, action & empty);
+        let (charged, uncharged) = (action & !empty, action & empty);
         let mut uncovered = 0.0;
-        for arrived in (0..ACTIONS).filter(|arrived| arrived & !maybe == 0) {
-            let (arrivals, failures) = (arrived.count_ones(), (maybe & !arrived).count_ones());
-            let probability = self.p.powi(arrivals.cast_signed()) * (1.0 - self.p).powi(failures.cast_signed());
-            uncovered += probability * self.uncovered_shares[sure | arrived];
+        for arrived in (0..ACTIONS).filter(|arrived| arrived & !uncharged == 0) {
+            let (arrivals, failures) = (arrived.count_ones(), (uncharged & !arrived).count_ones());
+            let probability = self.arrival_probability.powi(arrivals.cast_signed())
+                * (1.0 - self.arrival_probability).powi(failures.cast_signed());
+            uncovered += probability * self.uncovered_shares[charged | arrived];
         }
-        1.0 - f64::from(action.count_ones()) / N as f64 - self.w * uncovered
+        1.0 - f64::from(action.count_ones()) / N as f64 - self.uncovered_weight * uncovered
     }
 
+    /// Returns the expectation of r(k) by set of devices with empty batteries and action.
     fn rewards(&self) -> Vec<[f64; ACTIONS]> {
         (0..ACTIONS)
             .map(|empty| std::array::from_fn(|action| self.reward(empty, action)))
@@ -99,44 +104,46 @@ impl SixDevices {
     /// Returns the expectation of `values` one TTI later, by action and state. It is computed one device at a time,
     /// because harvests are independent.
     fn expected_next(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
-        let mut by_action = vec![values];
+        let mut values_by_action = vec![values];
         for device in 0..N {
             let expectations = |is_on: bool| {
-                by_action
+                values_by_action
                     .iter()
-                    .map(move |values| self.expect_device(values, device, is_on))
+                    .map(move |values| self.expected_over_harvest(values, device, is_on))
             };
-            by_action = expectations(false).chain(expectations(true)).collect();
+            values_by_action = expectations(false).chain(expectations(true)).collect();
         }
-        by_action
+        values_by_action
     }
 
     /// Returns the expectation of `values` over the harvest of one device, which pays for sensing if it is on.
-    fn expect_device(&self, values: &[f64], device: usize, is_on: bool) -> Vec<f64> {
+    fn expected_over_harvest(&self, values: &[f64], device: usize, is_on: bool) -> Vec<f64> {
         let stride = LEVELS.pow(device as u32);
-        let next =
+        let next_offset =
             |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(is_on)) * stride;
         let mut expectation = vec![0.0; STATES];
         for block in (0..STATES).step_by(stride * LEVELS) {
             for level in 0..LEVELS {
                 let [with_arrival, without_arrival] =
-                    [1, 0].map(|harvest| &values[block + next(level, harvest)..][..stride]);
+                    [1, 0].map(|harvest| &values[block + next_offset(level, harvest)..][..stride]);
                 let target = &mut expectation[block + level * stride..][..stride];
                 for ((target, with_arrival), without_arrival) in
                     target.iter_mut().zip(with_arrival).zip(without_arrival)
                 {
-                    *target = self.p * with_arrival + (1.0 - self.p) * without_arrival;
+                    *target =
+                        self.arrival_probability * with_arrival + (1.0 - self.arrival_probability) * without_arrival;
                 }
             }
         }
         expectation
     }
 
-    /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − `discount`; for a discount
-    /// of 1, the long-run mean r(k). `policy` holds the action of each state; without it all actions are tried.
+    /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − `discount`; with
+    /// `discount` 1, the long-run mean r(k). `policy` holds the action of each state; without it the best action is
+    /// taken.
     fn value_of(&self, discount: f64, policy: Option<&[usize]>) -> f64 {
         let rewards = self.rewards();
-        let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
+        let (mut values, mut mean_addition) = (vec![0.0; STATES], 0.0);
         for _ in 0..SWEEPS {
             let next = self.expected_next(values.clone());
             let new_values: Vec<f64> = (0..STATES)
@@ -150,25 +157,25 @@ impl SixDevices {
                 })
                 .collect();
             let additions = new_values.iter().zip(&values).map(|(new, old)| new - old);
-            mean = additions.clone().sum::<f64>() / STATES as f64;
+            mean_addition = additions.clone().sum::<f64>() / STATES as f64;
             let (least, most) = additions.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
             values = new_values;
             // The sum of all further additions lies within discount/(1 − discount) times these two.
             if most - least < SPAN {
-                let mean = values.iter().sum::<f64>() / STATES as f64;
-                return (1.0 - discount) * mean + discount * 0.5 * (least + most);
+                let mean_value = values.iter().sum::<f64>() / STATES as f64;
+                return (1.0 - discount) * mean_value + discount * 0.5 * (least + most);
             }
         }
         assert!(discount >= 1.0, "discounted values did not converge");
         // The policy's long-run value depends on the start: the mean over all starts.
-        mean
+        mean_addition
     }
 
-    fn discounted(&self, policy: Option<&[usize]>) -> f64 {
+    fn discounted_reward(&self, policy: Option<&[usize]>) -> f64 {
         self.value_of(ZETA, policy)
     }
 
-    fn mean(&self, policy: Option<&[usize]>) -> f64 {
+    fn mean_reward(&self, policy: Option<&[usize]>) -> f64 {
         self.value_of(1.0, policy)
     }
 
@@ -200,9 +207,9 @@ impl SixDevices {
 }
 
 /// Returns the scenario of a network with devices at `points` in `area` under `q-learning` from empty tables, with the
-/// fields in `overrides`. E_idle is 1, an arrival brings 1, the wake-up radio is free.
-pub(super) fn scenario_of(area: Area, points: &[Point], overrides: &[&str]) -> Scenario {
-    let always = [
+/// `fields` (`PATH=VALUE`). E_idle is 1, an arrival brings 1, the wake-up radio is free.
+pub(super) fn scenario_of(area: Area, points: &[Point], fields: &[&str]) -> Scenario {
+    let network_fields = [
         &format!("devices={}", points.len()),
         "policy.name=q-learning",
         "policy.q-learning.learn=true",
@@ -213,14 +220,15 @@ pub(super) fn scenario_of(area: Area, points: &[Point], overrides: &[&str]) -> S
         "energy.e_wur=0",
         "harvest.e_b=1",
     ];
-    let overrides = always
+    let overrides = network_fields
         .iter()
-        .chain(overrides)
+        .chain(fields)
         .map(|text| Override::parse(text).expect("an override"));
     let mut scenario = load("paper", &overrides.collect::<Vec<_>>())
         .expect("a scenario")
         .scenario;
     scenario.layout = Layout::File(FileLayout {
+        // A name for messages only; `three_devices` uses it too.
         path: "six-devices".into(),
         points: Arc::new(points.to_vec()),
         classes: None,
@@ -276,12 +284,13 @@ pub(super) fn uncovered_share(area: Area, points: &[Point]) -> f64 {
         let (column, row) = (cell % columns, cell / columns);
         let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
             .map(|(east, north)| Point::new(f64::from(column + east) * width, f64::from(row + north) * height));
-        let is_covered = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= D_MAX);
+        let is_covered = |point: &Point| corners.iter().all(|corner| corner.distance(*point) <= D_MAX);
         uncovered_cells += u32::from(!points.iter().any(is_covered));
     }
     f64::from(uncovered_cells) / f64::from(columns * rows)
 }
 
+/// Returns the energy of `level` units.
 fn units(level: u64) -> Energy {
     Energy::from_micro(level * 1_000_000)
 }
@@ -305,8 +314,8 @@ fn the_learner_comes_close_to_the_optimum() {
     let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
     let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
     for (name, (width, height), points) in [("cross", (8.0, 8.0), cross), ("pairs", (12.0, 6.0), pairs)] {
-        let (lambda, w) = (0.15, 2.0);
-        let network = SixDevices::new(Area { width, height }, &points, lambda, w);
+        let (lambda, uncovered_weight) = (0.15, 2.0);
+        let network = SixDevices::new(Area { width, height }, &points, lambda, uncovered_weight);
         let buckets: Vec<usize> = (0..LEVELS as u64)
             .map(|level| battery_bucket(units(level), &network.energy()))
             .collect();
@@ -315,9 +324,9 @@ fn the_learner_comes_close_to_the_optimum() {
         let greedy = network.greedy_actions();
         let policies = [None, Some(&learned[..]), Some(&greedy[..])];
         // The possible gain: r(k) above the reward of a sleeping network.
-        let gain = |reward: f64| reward - (1.0 - network.w);
-        let mean_gains = policies.map(|policy| gain(network.mean(policy)));
-        let discounted_gains = policies.map(|policy| gain(network.discounted(policy)));
+        let gain = |reward: f64| reward - (1.0 - network.uncovered_weight);
+        let mean_gains = policies.map(|policy| gain(network.mean_reward(policy)));
+        let discounted_gains = policies.map(|policy| gain(network.discounted_reward(policy)));
         let [best_mean, learned_mean, greedy_mean] = mean_gains;
         let [best_discounted, learned_discounted, _] = discounted_gains;
         let gains = format!("{name}: optimum, learner, greedy: mean {mean_gains:?}, discounted {discounted_gains:?}");
@@ -326,6 +335,7 @@ fn the_learner_comes_close_to_the_optimum() {
             learned_mean <= best_mean + SPAN && learned_discounted <= best_discounted + SPAN,
             "above the optimum: {gains}"
         );
+        // Required of the learner, not measured: the printed gains are measured.
         assert!(learned_mean >= 0.98 * best_mean, "{gains}");
         assert!(learned_discounted >= 0.95 * best_discounted, "{gains}");
         // The network is not trivial: ignoring energy is much worse than the optimum.
