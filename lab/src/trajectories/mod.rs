@@ -4,7 +4,7 @@
 //! A run is recorded in chunks of consecutive TTIs, far enough apart to differ. Chunks only hold data that a base
 //! station can know. `reveille train record` writes them, `transformer` trains from them, and the figure `attention` of
 //! `study` reads the steps of a run. The number of a run and the position of its file decide whether `transformer`
-//! holds it out.
+//! holds it out. The trajectories of the Python package are something else: steps of an environment.
 
 mod io;
 mod parquet;
@@ -34,7 +34,8 @@ pub use parquet::TrajectoryError;
 /// `parquet`, and recordings and trained models must be made again.
 pub const HORIZON: usize = 20;
 
-/// The parameters of a recording. Their `Debug` text is in the metadata of files.
+/// The parameters of a recording. Their `Debug` text is in the metadata of files and identifies trainings: after a
+/// rename, no training from a new file resumes an older one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordingConfig {
     /// The number of TTIs in a chunk, ≥ 1.
@@ -42,6 +43,7 @@ pub struct RecordingConfig {
     /// The number of TTIs from one chunk's start to the next, > `length`: chunks without a gap would be one chunk.
     pub stride: usize,
     /// The probabilities, `[0, 1)`, that a device deviates from its policy, at least one; runs use them in turn.
+    /// [`record_from_scenario`] ignores them.
     pub explore: Vec<f64>,
     /// See [`RecordingOptions::true_batteries`].
     pub true_batteries: bool,
@@ -57,14 +59,14 @@ impl RecordingConfig {
     }
 }
 
-/// Consecutive TTIs of one run.
+/// Consecutive TTIs of one run, [`RecordingConfig::length`] of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
     /// The index of the run, from 0 over all cells and seeds.
     pub run: u32,
     /// The recorded policy.
     pub policy: Arc<str>,
-    /// The price θ of the policy, if it has one.
+    /// The price θ of the policy, if it has a fixed one.
     pub price: Option<f32>,
     /// The number of devices N.
     pub devices: usize,
@@ -92,7 +94,11 @@ pub struct Trajectories {
 }
 
 /// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `on_run_end`
-/// after each run. Returns `None` if `stop` returns true.
+/// after each run. Returns `None` if `stop` returns true. It ignores `until_ci` and the actions of the experiment, which
+/// `reveille train record` therefore refuses.
+///
+/// # Panics
+/// If [`RecordingConfig::explore`] is empty or [`RecordingConfig::stride`] is 0; `reveille train record` checks both.
 pub fn record(
     grid: &SweepGrid,
     recording: &RecordingConfig,
@@ -105,10 +111,11 @@ pub fn record(
         .collect();
     let preparer = RunPreparer::default();
     let record_cell_run = |(cell, index): (usize, u64)| {
-        let run = cell as u64 * seeds.count + index;
-        let exploration = recording.explore[(run % recording.explore.len() as u64) as usize];
+        let run_number = cell as u64 * seeds.count + index;
+        let exploration = recording.explore[(run_number % recording.explore.len() as u64) as usize];
         let scenario = grid.cells[cell].with_seed(seeds.first + index);
-        let chunks = record_run(&preparer, &scenario, run as u32, recording, exploration, stop);
+        // The cast holds: a sweep has at most 100 000 000 runs.
+        let chunks = record_run(&preparer, &scenario, run_number as u32, recording, exploration, stop);
         on_run_end();
         chunks
     };
@@ -126,24 +133,26 @@ pub fn record(
     })
 }
 
-/// Records a run of the emulator by repeating it in memory from its `scenario`. Also returns the digest, which equals
-/// the original run's if nothing was changed. The digest is `None` for the genie, which uses knowledge that no base
-/// station has. Returns `None` if `stop` returns true.
+/// Records a run of the emulator by repeating it in memory from its `scenario`, as the run `run_number` of a file. Also
+/// returns the digest, which equals the original run's if that run had no external inputs and
+/// [`RecordingConfig::true_batteries`] is off. The digest is `None`, and there are no chunks, for the genie, which uses
+/// knowledge that no base station has. Returns `None` if `stop` returns true.
 pub fn record_from_scenario(
     scenario: &Scenario,
-    run: u32,
+    run_number: u32,
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
     // No device deviates: the recorded run must make the decisions of the original run.
-    record_prepared(&RunPreparer::default().prepare(scenario), run, recording, 0.0, stop)
+    let prepared = RunPreparer::default().prepare(scenario);
+    record_prepared(&prepared, run_number, recording, 0.0, stop)
 }
 
 /// Returns the chunks of a run of `scenario` from random batteries.
 fn record_run(
     preparer: &RunPreparer,
     scenario: &Scenario,
-    run: u32,
+    run_number: u32,
     recording: &RecordingConfig,
     exploration: f64,
     stop: &(dyn Fn() -> bool + Sync),
@@ -153,12 +162,13 @@ fn record_run(
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
-    record_prepared(&prepared, run, recording, exploration, stop).map(|(_, chunks)| chunks)
+    record_prepared(&prepared, run_number, recording, exploration, stop).map(|(_, chunks)| chunks)
 }
 
+/// Runs `prepared` and returns its digest and chunks.
 fn record_prepared(
     prepared: &PreparedRun,
-    run: u32,
+    run_number: u32,
     recording: &RecordingConfig,
     exploration: f64,
     stop: &(dyn Fn() -> bool + Sync),
@@ -172,18 +182,18 @@ fn record_prepared(
         }
     };
     let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(exploration), add_step, stop)?;
-    Some((digest, build_chunks(prepared, run, recording, &shares, steps)))
+    Some((digest, build_chunks(prepared, run_number, recording, &shares, steps)))
 }
 
-/// Records the TTIs `from` to `last` of a run of `scenario`. Returns no steps for the genie, which uses knowledge that
-/// no base station has, or if the run ends before.
-pub fn record_steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<TrajectoryStep> {
+/// Records the TTIs `first` to `last` of a run of `scenario`. Returns fewer steps if the run ends earlier, and none for
+/// the genie, which uses knowledge that no base station has.
+pub fn record_steps(scenario: &Scenario, first: Tti, last: Tti) -> Vec<TrajectoryStep> {
     // A step is complete when the next TTI begins, so one more TTI is run.
     let mut scenario = scenario.clone();
     scenario.run.ttis = scenario.run.ttis.min(last.0 + 2);
     let prepared = RunPreparer::default().prepare(&scenario);
     let add_step = move |steps: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
-        if (from..=last).contains(&step.tti) {
+        if (first..=last).contains(&step.tti) {
             steps.push(step);
         }
     };
@@ -223,9 +233,10 @@ fn collect_steps<T: Default + Send + 'static>(
     outcome.is_complete.then_some((Some(outcome.digest), collected))
 }
 
+/// Builds the chunks of a run from their `steps`. `shares` are the covered shares of all TTIs, from TTI 0.
 fn build_chunks(
     prepared: &PreparedRun,
-    run: u32,
+    run_number: u32,
     recording: &RecordingConfig,
     shares: &[f32],
     steps: Vec<TrajectoryStep>,
@@ -248,7 +259,7 @@ fn build_chunks(
         let mean_share = next_shares.iter().sum::<f32>() / HORIZON as f32;
         if k.is_multiple_of(recording.stride) {
             chunks.push(Chunk {
-                run,
+                run: run_number,
                 policy: Arc::clone(&name),
                 price: price.map(|price| price as f32),
                 devices: prepared.deployment.devices.len(),

@@ -1,5 +1,6 @@
-//! Trajectories as Parquet: one row per device and TTI. Columns are written and read by position, in the order of
-//! [`schema`]; raise [`VERSION`] when the meaning of one changes.
+//! Trajectories as Parquet: one row per device and TTI, for `io`. Columns are written by [`write_group`] and read by
+//! [`read_group`] by position, in the order of [`schema`]: change all three, and the names in `check_all_finite`. Raise
+//! [`VERSION`] when the meaning of a column changes.
 
 use ::parquet::basic::Type as Physical;
 use ::parquet::data_type::{BoolType, ByteArray, ByteArrayType, FloatType, Int32Type, Int64Type};
@@ -17,14 +18,14 @@ use sha2::{Digest as _, Sha256};
 use super::{Chunk, Trajectories};
 use crate::table::Hash;
 
-/// The version of the schema, raised when the meaning of a column changes.
+/// The version of the schema, raised when the meaning of a column changes. Files of another version are refused.
 const VERSION: &str = "1";
 /// The key of the version in the metadata.
 pub(super) const VERSION_KEY: &str = "reveille.trajectories";
 /// The approximate number of rows in a row group.
 const ROWS_PER_GROUP: usize = 100_000;
 
-/// A reason why a file of trajectories cannot be used.
+/// A reason why a file of trajectories cannot be used. Callers put `FILE: ` before the text.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
@@ -103,55 +104,67 @@ pub(super) fn to_bytes(trajectories: &Trajectories) -> Result<Vec<u8>, Trajector
     Ok(writer.finish()?)
 }
 
-/// A row: its chunk, the TTI within it, and the device.
-type StepRef<'c> = (&'c Chunk, usize, usize);
+/// A row of the file.
+struct RowRef<'c> {
+    chunk: &'c Chunk,
+    /// The index of the TTI in the chunk.
+    step_index: usize,
+    device: usize,
+}
+
+impl<'c> RowRef<'c> {
+    fn step(&self) -> &'c TrajectoryStep {
+        &self.chunk.steps[self.step_index]
+    }
+
+    fn device_step(&self) -> &'c DeviceStep {
+        &self.step().devices[self.device]
+    }
+}
 
 fn write_group(group: &mut GroupWriter<'_, Vec<u8>>, chunks: &[Chunk]) -> Result<(), ParquetError> {
-    let rows: Vec<StepRef<'_>> = chunks
+    let rows: Vec<RowRef<'_>> = chunks
         .iter()
         .flat_map(|chunk| {
-            let devices = chunk.devices;
-            (0..chunk.steps.len()).flat_map(move |t| (0..devices).map(move |j| (chunk, t, j)))
+            (0..chunk.steps.len()).flat_map(move |step_index| {
+                (0..chunk.devices).map(move |device| RowRef {
+                    chunk,
+                    step_index,
+                    device,
+                })
+            })
         })
         .collect();
-    let int = |value: fn(&StepRef<'_>) -> u32| rows.iter().map(move |row| value(row).cast_signed());
-    let float = |value: fn(&StepRef<'_>) -> f32| rows.iter().map(value);
-    let optional_float = |value: fn(&StepRef<'_>) -> Option<f32>| rows.iter().map(value);
-    let flag = |value: fn(&StepRef<'_>) -> bool| rows.iter().map(value);
+    let ints = |value: fn(&RowRef<'_>) -> u32| rows.iter().map(move |row| value(row).cast_signed());
+    let floats = |value: fn(&RowRef<'_>) -> f32| rows.iter().map(value);
+    let optional_floats = |value: fn(&RowRef<'_>) -> Option<f32>| rows.iter().map(value);
+    let flags = |value: fn(&RowRef<'_>) -> bool| rows.iter().map(value);
     // In the order of `schema`: the writer takes columns by position.
-    group.write_required::<Int32Type>(int(|row| row.0.run))?;
-    group.write_required::<ByteArrayType>(rows.iter().map(|row| ByteArray::from(&*row.0.policy)))?;
-    group.write_optional::<FloatType>(optional_float(|row| row.0.price))?;
-    group.write_required::<Int64Type>(rows.iter().map(|row| step_of(row).tti.0.cast_signed()))?;
-    group.write_required::<Int32Type>(int(|row| row.2 as u32))?;
-    group.write_required::<Int32Type>(int(|row| row.0.devices as u32))?;
+    group.write_required::<Int32Type>(ints(|row| row.chunk.run))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| ByteArray::from(&*row.chunk.policy)))?;
+    group.write_optional::<FloatType>(optional_floats(|row| row.chunk.price))?;
+    group.write_required::<Int64Type>(rows.iter().map(|row| row.step().tti.0.cast_signed()))?;
+    group.write_required::<Int32Type>(ints(|row| row.device as u32))?;
+    group.write_required::<Int32Type>(ints(|row| row.chunk.devices as u32))?;
     for feature in 0..FEATURE_COUNT {
         group.write_required::<FloatType>(
             rows.iter()
-                .map(|row| step_of(row).tokens[row.2 * FEATURE_COUNT + feature]),
+                .map(|row| row.step().tokens[row.device * FEATURE_COUNT + feature]),
         )?;
     }
-    group.write_required::<FloatType>(float(|row| device_step(row).expected_events))?;
-    group.write_required::<BoolType>(flag(|row| device_step(row).is_sensing))?;
-    group.write_required::<BoolType>(flag(|row| device_step(row).has_reported_first))?;
-    group.write_optional::<FloatType>(optional_float(|row| {
-        device_step(row).wake_up.map(|(expected, _)| expected)
+    group.write_required::<FloatType>(floats(|row| row.device_step().expected_events))?;
+    group.write_required::<BoolType>(flags(|row| row.device_step().is_sensing))?;
+    group.write_required::<BoolType>(flags(|row| row.device_step().has_reported_first))?;
+    group.write_optional::<FloatType>(optional_floats(|row| {
+        row.device_step().wake_up.map(|(expected_gain, _)| expected_gain)
     }))?;
-    group.write_optional::<FloatType>(optional_float(|row| {
-        device_step(row).wake_up.map(|(_, brought)| brought)
+    group.write_optional::<FloatType>(optional_floats(|row| {
+        row.device_step().wake_up.map(|(_, actual_gain)| actual_gain)
     }))?;
-    group.write_required::<FloatType>(float(|row| step_of(row).covered_share))?;
-    group.write_required::<FloatType>(float(|row| step_of(row).reward))?;
-    group.write_required::<FloatType>(float(|row| step_of(row).wake_reward))?;
-    group.write_required::<FloatType>(float(|row| row.0.returns[row.1]))
-}
-
-fn step_of<'c>(row: &StepRef<'c>) -> &'c TrajectoryStep {
-    &row.0.steps[row.1]
-}
-
-fn device_step<'c>(row: &StepRef<'c>) -> &'c DeviceStep {
-    &step_of(row).devices[row.2]
+    group.write_required::<FloatType>(floats(|row| row.step().covered_share))?;
+    group.write_required::<FloatType>(floats(|row| row.step().reward))?;
+    group.write_required::<FloatType>(floats(|row| row.step().wake_reward))?;
+    group.write_required::<FloatType>(floats(|row| row.chunk.returns[row.step_index]))
 }
 
 /// Decodes the bytes of a file. Also returns their SHA-256.
@@ -197,9 +210,11 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
     Ok(Trajectories { about, chunks })
 }
 
+/// Appends the rows of `group` to `chunks`. Files do not mark the chunks: consecutive TTIs of a run are one chunk.
 fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(), TrajectoryError> {
     let mut columns = GroupReader::new(group);
-    // In the order of `schema`: the reader takes columns by position.
+    // In the order of `schema`: the reader takes columns by position. Each local has the name of its column, if that
+    // name is clear.
     let rows = columns.rows();
     let runs = columns.read_required::<Int32Type>()?;
     let policies = columns.read_required::<ByteArrayType>()?;
@@ -212,15 +227,15 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
         features.push(columns.read_required::<FloatType>()?);
     }
     let expected = columns.read_required::<FloatType>()?;
-    let on = columns.read_required::<BoolType>()?;
-    let found = columns.read_required::<BoolType>()?;
+    let is_sensing = columns.read_required::<BoolType>()?;
+    let has_reported_first = columns.read_required::<BoolType>()?;
     let wake_expected = columns.read_optional::<FloatType>()?;
     let wake_brought = columns.read_optional::<FloatType>()?;
-    let share = columns.read_required::<FloatType>()?;
+    let covered_share = columns.read_required::<FloatType>()?;
     let reward = columns.read_required::<FloatType>()?;
     let wake_reward = columns.read_required::<FloatType>()?;
     let returns = columns.read_required::<FloatType>()?;
-    let required_columns = [&expected, &share, &reward, &wake_reward, &returns];
+    let required_columns = [&expected, &covered_share, &reward, &wake_reward, &returns];
     let required = ["expected", "share", "reward", "wake_reward", "return"]
         .into_iter()
         .zip(required_columns);
@@ -240,9 +255,9 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
         let tti_rows = row..row + n;
         let is_whole = n > 0
             && tti_rows.end <= rows
-            && tti_rows.clone().enumerate().all(|(j, at)| {
-                (runs[at], ttis[at], device_counts[at]) == (runs[row], ttis[row], device_counts[row])
-                    && usize::try_from(device_ids[at]) == Ok(j)
+            && tti_rows.clone().enumerate().all(|(j, other)| {
+                (runs[other], ttis[other], device_counts[other]) == (runs[row], ttis[row], device_counts[row])
+                    && usize::try_from(device_ids[other]) == Ok(j)
             });
         if !is_whole {
             return Err(TrajectoryError::Rows(format!(
@@ -250,28 +265,28 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
                 ttis[row], runs[row]
             )));
         }
-        let device_step_at = |at: usize| DeviceStep {
-            expected_events: expected[at],
-            is_sensing: on[at],
-            has_reported_first: found[at],
-            wake_up: wake_expected[at].zip(wake_brought[at]),
+        let device_step_of = |device_row: usize| DeviceStep {
+            expected_events: expected[device_row],
+            is_sensing: is_sensing[device_row],
+            has_reported_first: has_reported_first[device_row],
+            wake_up: wake_expected[device_row].zip(wake_brought[device_row]),
         };
         let step = TrajectoryStep {
             tti: Tti(ttis[row].cast_unsigned()),
             tokens: tti_rows
                 .clone()
-                .flat_map(|at| features.iter().map(move |column| column[at]))
+                .flat_map(|device_row| features.iter().map(move |column| column[device_row]))
                 .collect(),
-            devices: tti_rows.map(device_step_at).collect(),
-            covered_share: share[row],
+            devices: tti_rows.map(device_step_of).collect(),
+            covered_share: covered_share[row],
             reward: reward[row],
             wake_reward: wake_reward[row],
         };
         let run = runs[row].cast_unsigned();
-        let follows = |chunk: &Chunk| {
+        let ends_before_step = |chunk: &Chunk| {
             chunk.run == run && chunk.devices == n && chunk.steps.last().is_some_and(|last| last.tti + 1 == step.tti)
         };
-        if !chunks.last().is_some_and(follows) {
+        if !chunks.last().is_some_and(ends_before_step) {
             let policy = policies[row].as_utf8().map_err(TrajectoryError::from)?;
             chunks.push(Chunk {
                 run,

@@ -1,5 +1,6 @@
 //! Tests of [`record`] and of trajectory files. Recorded steps are compared with each other and with the reward formula
-//! of the paper, recorded runs with unrecorded ones, and files with the trajectories from which they were written.
+//! of the paper, recorded runs with unrecorded ones, and files with the trajectories from which they were written. Not
+//! checked: [`record_steps`], and the genie, whose runs are not recorded.
 
 use ::parquet::basic::Type as Physical;
 use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
@@ -15,13 +16,14 @@ fn parse_grid(text: &str) -> SweepGrid {
     SweepGrid::new(draft.build().expect("complete"), &NoFiles).expect("a grid")
 }
 
+/// Records four runs of 300 TTIs: two policies with two seeds each.
 fn record_runs(config: &RecordingConfig) -> Trajectories {
     let text = "scenario = \"paper\"\npolicies = [\"age-index\", \"knn\"]\ndevices = [30]\nttis = 300\n\
                 seeds = { first = 5, count = 2 }\n";
     record(&parse_grid(text), config, &|| false, &|| ()).expect("not stopped")
 }
 
-fn config(explore: &[f64]) -> RecordingConfig {
+fn config_with(explore: &[f64]) -> RecordingConfig {
     RecordingConfig {
         length: 6,
         stride: 50,
@@ -32,8 +34,8 @@ fn config(explore: &[f64]) -> RecordingConfig {
 
 #[test]
 fn chunks_are_complete_and_consistent() {
-    let trajectories = record_runs(&config(&[0.0, 0.3]));
-    // Four runs of six chunks; the last begins at TTI 250.
+    let trajectories = record_runs(&config_with(&[0.0, 0.3]));
+    // Four runs of six chunks; the last begins at TTI 250, and its last return needs TTIs up to 274.
     assert_eq!(trajectories.chunks.len(), 24);
     let (mut ttis_with_reports, mut wake_ups, mut explored_chunks) = (0, 0, 0);
     for chunk in &trajectories.chunks {
@@ -68,10 +70,11 @@ fn chunks_are_complete_and_consistent() {
             );
             ttis_with_reports += usize::from(reporters > 0);
         }
-        // Runs use the two probabilities in turn.
+        // Odd runs use the second probability. Only their number is checked, not the effect.
         explored_chunks += usize::from(chunk.run % 2 == 1);
     }
     assert_eq!(explored_chunks, 12);
+    // Below these limits, the assertions above would have checked little.
     assert!(
         ttis_with_reports > 5 && wake_ups > 3,
         "too few cases: {ttis_with_reports} TTIs with reports, {wake_ups} wake-ups"
@@ -80,9 +83,9 @@ fn chunks_are_complete_and_consistent() {
 
 #[test]
 fn trajectories_round_trip_and_the_same_runs_give_the_same_bytes() {
-    let trajectories = record_runs(&config(&[0.1]));
+    let trajectories = record_runs(&config_with(&[0.1]));
     let bytes = to_bytes(&trajectories).expect("bytes");
-    assert_eq!(bytes, to_bytes(&record_runs(&config(&[0.1]))).expect("bytes"));
+    assert_eq!(bytes, to_bytes(&record_runs(&config_with(&[0.1]))).expect("bytes"));
     let (read, _) = from_bytes(bytes).expect("a file");
     assert_eq!(read, trajectories);
 }
@@ -101,7 +104,7 @@ fn a_recording_does_not_change_the_run() {
         let recorded_digest = |true_batteries: bool| {
             let config = RecordingConfig {
                 true_batteries,
-                ..self::config(&[0.0])
+                ..config_with(&[0.0])
             };
             let recorded = record_from_scenario(&scenario, 0, &config, &|| false).expect("not stopped");
             recorded.0.expect("not a genie")
@@ -114,7 +117,7 @@ fn a_recording_does_not_change_the_run() {
 
 #[test]
 fn invalid_files_are_refused_with_the_reason() {
-    let trajectories = record_runs(&config(&[0.0]));
+    let trajectories = record_runs(&config_with(&[0.0]));
     let bytes = to_bytes(&trajectories).expect("bytes");
     for length in [0, 10, bytes.len() / 2, bytes.len() - 3] {
         assert!(
@@ -148,6 +151,7 @@ fn invalid_files_are_refused_with_the_reason() {
         from_bytes(foreign_file(Some("0"))),
         Err(TrajectoryError::Foreign(_))
     ));
+    // The version of the format, but other columns.
     let missing = from_bytes(foreign_file(Some("1"))).expect_err("refused").to_string();
     assert!(
         missing.contains("run is missing") && missing.contains("train record"),
@@ -158,7 +162,7 @@ fn invalid_files_are_refused_with_the_reason() {
 /// Corrupts a recorded chunk.
 type Corruption = fn(&mut Chunk);
 
-/// Returns a Parquet file with another column, labelled with `version`.
+/// Returns a Parquet file with another column, and `version` as the version of trajectories in its metadata.
 fn foreign_file(version: Option<&str>) -> Vec<u8> {
     let schema = schema("other", [Column::required("x", Physical::INT32)]).expect("a schema");
     let about = version.map(|version| (VERSION_KEY.to_owned(), version.to_owned()));
