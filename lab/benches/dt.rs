@@ -54,7 +54,7 @@ fn bench_inference(criterion: &mut Criterion) {
     .expect("tokens");
     let targets = Tensor::full(0.5_f32, (1, memory), &Device::Cpu).expect("targets");
     group.bench_function("in the framework", |bencher| {
-        bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").price);
+        bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").log_price);
     });
     group.finish();
 

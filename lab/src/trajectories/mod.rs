@@ -94,8 +94,8 @@ pub struct Trajectories {
 }
 
 /// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `on_run_end`
-/// after each run. Returns `None` if `stop` returns true. It ignores `until_ci` and the actions of the experiment, which
-/// `reveille train record` therefore refuses.
+/// after each run. Returns `None` if `stop` returns true. It ignores `until_ci` and the actions of the experiment;
+/// `reveille train record` therefore refuses both.
 ///
 /// # Panics
 /// If [`RecordingConfig::explore`] is empty or [`RecordingConfig::stride`] is 0; `reveille train record` checks both.

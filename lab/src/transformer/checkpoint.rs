@@ -1,7 +1,8 @@
-//! Checkpoints of a training of `dt`, from which it resumes with an identical result: a safetensors file with the
-//! weights, the optimiser's state, the best model and the counters.
+//! Checkpoints of a training of `dt`, from which [`super::train`] resumes with an identical result: a safetensors file
+//! with the weights, the optimiser's state, the best model and the counters. The sum of losses since the last
+//! evaluation is not stored: it only serves for display.
 //!
-//! No random stream is stored: each step draws from its own stream, made from the seed and the number of the step. A
+//! No random stream is stored: each step draws from a separate stream, made from the seed and the number of the step. A
 //! checkpoint can be resumed only with the same [`FORMAT_VERSION`], configuration and model information; there is no
 //! conversion of older files.
 
@@ -21,6 +22,7 @@ const CHECKPOINT_KEY: &str = "reveille.dt-training";
 /// text.
 const FORMAT_VERSION: &str = "2";
 /// The prefixes of the tensors: weights, running means of their gradients, and running means of the squared gradients.
+/// Writing and reading list the tensors of a weight in this order.
 const TENSOR_PREFIXES: [&str; 3] = ["weight", "mean", "square"];
 /// The name of a tensor of bytes that holds the file of the best model.
 const BEST_MODEL: &str = "best";
@@ -34,6 +36,10 @@ struct NamedTensor {
 }
 
 impl TrainerState {
+    /// Returns the bytes of a checkpoint.
+    ///
+    /// # Errors
+    /// If the framework or the format fails.
     pub(super) fn to_checkpoint(
         &self,
         config: &DtTrainingConfig,
@@ -43,8 +49,8 @@ impl TrainerState {
         for (name, tensor_shape) in self.net.shape().tensors() {
             let tensors_of_weight = [
                 self.net.vars()[name].as_tensor(),
-                &self.optimiser.means[name],
-                &self.optimiser.squares[name],
+                &self.optimiser.mean_gradients[name],
+                &self.optimiser.mean_squares[name],
             ];
             for (prefix, tensor) in TENSOR_PREFIXES.iter().zip(tensors_of_weight) {
                 let numbers: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
@@ -56,12 +62,12 @@ impl TrainerState {
                 });
             }
         }
-        if let Some(best) = &self.best {
+        if let Some(best_file) = &self.best_file {
             tensors.push(NamedTensor {
                 name: BEST_MODEL.to_owned(),
                 dtype: Dtype::U8,
-                shape: vec![best.len()],
-                data: best.clone(),
+                shape: vec![best_file.len()],
+                data: best_file.clone(),
             });
         }
         let mut views = Vec::new();
@@ -99,10 +105,10 @@ impl TrainerState {
         let text = metadata
             .and_then(|pairs| pairs.get(CHECKPOINT_KEY))
             .ok_or_else(damaged)?;
-        let Some((FORMAT_VERSION, text)) = text.split_once('\n') else {
+        let Some((FORMAT_VERSION, after_version)) = text.split_once('\n') else {
             return Err(refuse("this checkpoint has the format of another version of Reveille"));
         };
-        let (counters, saved_identity) = text.split_once('\n').ok_or_else(damaged)?;
+        let (counters, saved_identity) = after_version.split_once('\n').ok_or_else(damaged)?;
         if saved_identity != identity(config, model_info) {
             return Err(refuse(
                 "this is the checkpoint of another training, from other data or with other options",
@@ -113,9 +119,9 @@ impl TrainerState {
             return Err(damaged());
         };
         let mut state = Self::new(config)?;
-        let mut maps = [TensorByName::new(), TensorByName::new(), TensorByName::new()];
+        let mut tensors_by_prefix = [TensorByName::new(), TensorByName::new(), TensorByName::new()];
         for (name, tensor_shape) in config.shape.tensors() {
-            for (prefix, map) in TENSOR_PREFIXES.iter().zip(&mut maps) {
+            for (prefix, tensors) in TENSOR_PREFIXES.iter().zip(&mut tensors_by_prefix) {
                 let view = file.tensor(&format!("{prefix}.{name}")).map_err(|_| damaged())?;
                 if view.dtype() != Dtype::F32 || view.shape() != tensor_shape {
                     return Err(damaged());
@@ -123,18 +129,18 @@ impl TrainerState {
                 // The file was checked to have 4 bytes for each F32, so the remainder is empty.
                 let (words, _) = view.data().as_chunks::<4>();
                 let numbers: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
-                map.insert(name, Tensor::from_vec(numbers, tensor_shape.clone(), &Device::Cpu)?);
+                tensors.insert(name, Tensor::from_vec(numbers, tensor_shape.clone(), &Device::Cpu)?);
             }
         }
-        let [weights, means, squares] = maps;
+        let [weights, mean_gradients, mean_squares] = tensors_by_prefix;
         for (name, var) in state.net.vars() {
             var.set(&weights[name])?;
         }
         state.optimiser.steps = steps;
-        state.optimiser.means = means;
-        state.optimiser.squares = squares;
+        state.optimiser.mean_gradients = mean_gradients;
+        state.optimiser.mean_squares = mean_squares;
         // Absent before the first evaluation.
-        state.best = file.tensor(BEST_MODEL).ok().map(|best| best.data().to_vec());
+        state.best_file = file.tensor(BEST_MODEL).ok().map(|best| best.data().to_vec());
         state.best_loss = f64::from_bits(best_loss);
         state.evaluations_since_best = evaluations_since_best;
         Ok(state)

@@ -15,7 +15,7 @@ use reveille_common::rng::Stream;
 
 use crate::trajectories::{Chunk, Trajectories};
 
-/// One run in this many is held out.
+/// One run in this many is held out. Another number makes trained models and scores incomparable.
 const HELD_OUT_PERIOD: u32 = 10;
 
 /// The approximate number of device-TTIs of an evaluation on held-out data.
@@ -43,7 +43,7 @@ pub(super) struct TrainingBatch {
     /// The target returns, `[C, T]`.
     pub targets: Tensor,
     /// The logarithm of the price θ of the policy that recorded the chunk, `[C, T]`; 0 without a price.
-    pub prices: Tensor,
+    pub log_prices: Tensor,
     /// 1 for a TTI with a price to learn, else 0, `[C, T]`.
     pub has_price: Tensor,
     /// `[C, T, N]`. For [`ModelObjective::Events`]: the events that a sensing device is expected to find, given only α.
@@ -63,7 +63,7 @@ pub(super) struct TrainingBatch {
 struct BatchValues {
     tokens: Vec<f32>,
     targets: Vec<f32>,
-    prices: Vec<f32>,
+    log_prices: Vec<f32>,
     has_price: Vec<f32>,
     expected: Vec<f32>,
     found: Vec<f32>,
@@ -72,8 +72,9 @@ struct BatchValues {
 }
 
 impl Dataset {
-    /// Groups the chunks of `trajectories` and holds out one run in [`HELD_OUT_PERIOD`]. A held-out run is not always a
-    /// new world: runs of a grid that differ only in their settings share seeds and events.
+    /// Groups the chunks of `trajectories` and holds out one run in [`HELD_OUT_PERIOD`]. A group without training
+    /// chunks is left out, with its held-out chunks. A held-out run is not always a new world: runs of a grid that
+    /// differ only in their settings share seeds and events.
     pub(super) fn new(trajectories: Vec<Trajectories>) -> Self {
         let mut groups: BTreeMap<(usize, usize), DatasetGroup> = BTreeMap::new();
         for (file_index, recorded) in trajectories.into_iter().enumerate() {
@@ -100,9 +101,9 @@ impl Dataset {
             .into_values()
             .filter(|group| !group.training.is_empty())
             .collect();
-        let size = |group: &DatasetGroup| group.training.iter().map(|chunk| chunk.device_ttis() as f64).sum();
+        let training_size = |group: &DatasetGroup| group.training.iter().map(|chunk| chunk.device_ttis() as f64).sum();
         Self {
-            draw_weights: groups.iter().map(size).collect(),
+            draw_weights: groups.iter().map(training_size).collect(),
             groups,
         }
     }
@@ -137,8 +138,8 @@ impl Dataset {
     /// Returns batches of held-out chunks, each of about `device_ttis`. Groups are sampled evenly, to about
     /// [`EVALUATION_DEVICE_TTIS`] in all.
     pub(super) fn held_out_batches(&self, device_ttis: usize) -> Vec<Vec<&Chunk>> {
-        let size = |group: &DatasetGroup| group.held_out.iter().map(Chunk::device_ttis).sum::<usize>();
-        let total: usize = self.groups.iter().map(size).sum();
+        let held_out_size = |group: &DatasetGroup| group.held_out.iter().map(Chunk::device_ttis).sum::<usize>();
+        let total: usize = self.groups.iter().map(held_out_size).sum();
         let stride = total.div_ceil(EVALUATION_DEVICE_TTIS).max(1);
         let mut batches = Vec::new();
         for group in &self.groups {
@@ -154,6 +155,9 @@ impl Dataset {
 impl TrainingBatch {
     /// Creates a batch of `chunks`, all with the same N and length, for a model of `shape`. Unless a chunk starts its
     /// run, its first `shape.memory − 1` TTIs have no weight, because the model would attend to TTIs before the chunk.
+    ///
+    /// # Panics
+    /// If `chunks` is empty, or a chunk has no TTI.
     pub(super) fn from_chunks(chunks: &[&Chunk], shape: ModelShape) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
         let mut values = BatchValues::default();
@@ -166,7 +170,7 @@ impl TrainingBatch {
                 values.targets.push(chunk.returns[index]);
                 let price = chunk.price.filter(|price| has_weight && *price > 0.0);
                 // `libm` returns the same bits on every platform, unlike `f32::ln`.
-                values.prices.push(price.map_or(0.0, libm::logf));
+                values.log_prices.push(price.map_or(0.0, libm::logf));
                 values.has_price.push(f32::from(u8::from(price.is_some())));
                 for (device, token) in step.devices.iter().zip(step.tokens.as_chunks::<FEATURE_COUNT>().0) {
                     let (expected, is_found) = match shape.objective {
@@ -193,7 +197,7 @@ impl TrainingBatch {
         Ok(Self {
             tokens: Tensor::from_vec(values.tokens, (c, t, n, FEATURE_COUNT), &Device::Cpu)?,
             targets: by_tti(values.targets)?,
-            prices: by_tti(values.prices)?,
+            log_prices: by_tti(values.log_prices)?,
             has_price: by_tti(values.has_price)?,
             expected: by_device(values.expected)?,
             found: by_device(values.found)?,
@@ -209,7 +213,7 @@ impl TrainingBatch {
         Ok(Self {
             tokens: convert(&self.tokens)?,
             targets: convert(&self.targets)?,
-            prices: convert(&self.prices)?,
+            log_prices: convert(&self.log_prices)?,
             has_price: convert(&self.has_price)?,
             expected: convert(&self.expected)?,
             found: convert(&self.found)?,

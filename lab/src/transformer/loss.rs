@@ -1,4 +1,5 @@
-//! Loss function and evaluation scores of a net. Trained models depend on the sums and their order.
+//! Loss function and evaluation scores of a net, for [`super::train`]. Trained models depend on the sums and their
+//! order.
 //!
 //! A look is a TTI of a device in S1. Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation
 //! without history, m the net's output. The negative log likelihood of y events is λ − y·m, up to a constant. The gain
@@ -13,7 +14,7 @@ use super::data::TrainingBatch;
 use super::net::Outputs;
 
 /// Sums over a batch, from which ratios are reported.
-pub(super) struct Sums {
+pub(super) struct LossSums {
     /// Negative log likelihood of the events found by looks, or of the devices' actions.
     pub look_loss: Tensor,
     /// Expected number of events found by looks, or number of devices that could sense.
@@ -44,16 +45,17 @@ fn cross_entropy(devices: &Tensor, sensing: &Tensor, logs: &Tensor) -> Result<Te
     (log_partition - (sensing * logs)?)?.sum_all()
 }
 
-impl Sums {
+impl LossSums {
     /// Computes the sums for the net's `outputs` on `batch`.
     pub(super) fn from_outputs(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
         // `OUTPUTS` of the model defines the order: 0 for looks, 1 for wake-ups.
         let head = |index: usize| outputs.logs.narrow(3, index, 1)?.squeeze(3);
-        let squared_error = (&outputs.price - &batch.prices)?.sqr()?;
+        let squared_error = (&outputs.log_price - &batch.log_prices)?.sqr()?;
         let loss_of_looks = match batch.objective {
             ModelObjective::Events => negative_log_likelihood,
             ModelObjective::Actions => cross_entropy,
         };
+        // Devices and TTIs that do not count have expectations of 0, which add nothing to a sum.
         Ok(Self {
             look_loss: loss_of_looks(&batch.expected, &batch.found, &head(0)?)?,
             expected: sum(&batch.expected)?,
@@ -75,7 +77,7 @@ impl Sums {
     }
 }
 
-/// The totals over all batches of an update, by which the sums of [`Sums`] are divided.
+/// The totals over all batches of an update, by which the sums of [`LossSums`] are divided.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossDivisors {
     /// Expected number of events, or number of devices that could sense.
@@ -98,7 +100,8 @@ impl LossDivisors {
     }
 }
 
-/// The quality of a net on held-out data.
+/// The quality of a net on held-out data. For a net that learns actions, an expected event is a device that could
+/// sense, a look that found an event is a device that sensed, and a net that expects α alone has even odds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EvalScore {
     /// Gain in log likelihood per expected event over a net that expects α alone, nats.
@@ -115,11 +118,11 @@ pub struct EvalScore {
 
 /// Accumulates an [`EvalScore`].
 #[derive(Clone, Debug, Default)]
-pub(super) struct Scores {
-    /// Gain in log likelihood, the negative of [`Sums::look_loss`].
+pub(super) struct ScoreSums {
+    /// Gain in log likelihood, the negative of [`LossSums::look_loss`].
     look_gain: f64,
     expected: f64,
-    /// Gain in log quasi-likelihood, the negative of [`Sums::wake_loss`].
+    /// Gain in log quasi-likelihood, the negative of [`LossSums::wake_loss`].
     wake_gain: f64,
     expected_gain: f64,
     squared_price_errors: f64,
@@ -128,10 +131,10 @@ pub(super) struct Scores {
     scored_looks: Vec<(f32, f32, bool)>,
 }
 
-impl Scores {
+impl ScoreSums {
     /// Computes the scores of the net's `outputs` on `batch`.
     pub(super) fn from_outputs(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
-        let sums = Sums::from_outputs(batch, outputs)?;
+        let sums = LossSums::from_outputs(batch, outputs)?;
         let logs = outputs.logs.narrow(3, 0, 1)?.flatten_all()?.to_vec1::<f32>()?;
         let expected = batch.expected.flatten_all()?.to_vec1::<f32>()?;
         let found = batch.found.flatten_all()?.to_vec1::<f32>()?;
@@ -161,26 +164,34 @@ impl Scores {
         self.scored_looks.extend(other.scored_looks);
     }
 
-    pub(super) fn score(&self) -> EvalScore {
+    pub(super) fn to_score(&self) -> EvalScore {
         EvalScore {
             look_gain: self.look_gain / self.expected.max(1e-9),
             wake_gain: self.wake_gain / self.expected_gain.max(1e-9),
-            accuracy: accuracy(self.scored_looks.iter().map(|(_, with, found)| (*with, *found))),
-            plain_accuracy: accuracy(self.scored_looks.iter().map(|(without, _, found)| (*without, *found))),
+            accuracy: accuracy(
+                self.scored_looks
+                    .iter()
+                    .map(|(_, with_history, found)| (*with_history, *found)),
+            ),
+            plain_accuracy: accuracy(
+                self.scored_looks
+                    .iter()
+                    .map(|(without_history, _, found)| (*without_history, *found)),
+            ),
             price_error: (self.squared_price_errors / self.priced_ttis.max(1.0)).sqrt(),
         }
     }
 }
 
-/// Returns the probability that a found item has a larger number than one that is not found. Equal numbers count half.
-/// Returns 0.5 if either kind is missing.
+/// Returns the probability that a hit (`true`) has a larger number than a miss. Equal numbers count half. Returns 0.5
+/// if either kind is missing.
 pub(super) fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
     let mut numbers: Vec<(f32, bool)> = numbers.collect();
     numbers.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let (mut misses_below, mut ordered_pairs, mut all_hits) = (0.0, 0.0, 0.0);
-    for equal in numbers.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits()) {
-        let hits = equal.iter().filter(|(_, found)| *found).count() as f64;
-        let misses = equal.len() as f64 - hits;
+    for equal_numbers in numbers.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits()) {
+        let hits = equal_numbers.iter().filter(|(_, is_hit)| *is_hit).count() as f64;
+        let misses = equal_numbers.len() as f64 - hits;
         ordered_pairs += hits * (misses_below + 0.5 * misses);
         all_hits += hits;
         misses_below += misses;

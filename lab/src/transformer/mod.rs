@@ -1,5 +1,6 @@
 //! Training of the decision transformer (Sec. V-C): offline, from recorded trajectories alone. `reveille train dt`
-//! calls [`train`]; its output is a weights file that the policy `dt` loads.
+//! calls [`train`]; its output is a weights file that the policy `dt` loads. The benchmark `lab/benches/dt.rs` uses
+//! [`Net`] and [`encode_file`].
 //!
 //! [`Net`] is a differentiable copy of the forward pass in `bs/src/policy/dt/model`: change both. The result
 //! depends on the data, the options and the seed, not on the number of threads or on interruptions.
@@ -21,7 +22,7 @@ use safetensors::tensor::TensorView;
 
 use self::data::{Dataset, TrainingBatch};
 pub use self::loss::EvalScore;
-use self::loss::{LossDivisors, Scores, Sums};
+use self::loss::{LossDivisors, LossSums, ScoreSums};
 pub use self::net::{Net, Outputs};
 use self::optimiser::{AdamW, TensorByName};
 use crate::trajectories::{Chunk, Trajectories};
@@ -33,13 +34,14 @@ const BATCH_PARTS: usize = 4;
 /// The parameters of a training. [`DtTrainingConfig::to_json`] identifies a training in its checkpoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DtTrainingConfig {
-    /// The shape of the model.
+    /// The shape of the model, which must be valid ([`ModelShape::is_valid`]).
     pub shape: ModelShape,
     /// The number of optimiser steps.
     pub steps: u64,
     /// The approximate number of device-TTIs in a batch.
     pub batch_device_ttis: usize,
-    /// The learning rate at the start; it falls to a hundredth along half a cosine.
+    /// The largest learning rate. Half a cosine over all steps reduces it to a hundredth; in the first 50 steps, it
+    /// also rises linearly from a fiftieth.
     pub learning_rate: f64,
     /// The number of steps between two evaluations on held-out data.
     pub evaluation_interval: u64,
@@ -95,7 +97,7 @@ impl DtTrainingConfig {
 pub struct DtTrainingStatus {
     /// The number of completed steps.
     pub step: u64,
-    /// The mean loss since the last evaluation.
+    /// The mean training loss since the last evaluation, or since the training was resumed.
     pub loss: f64,
     /// The score on held-out data.
     pub score: EvalScore,
@@ -136,8 +138,9 @@ pub enum TransformerError {
 struct TrainerState {
     net: Net,
     optimiser: AdamW,
-    /// The file of the best model so far.
-    best: Option<Vec<u8>>,
+    /// The bytes of the best model's file so far; `None` before the first evaluation.
+    best_file: Option<Vec<u8>>,
+    /// The held-out loss of the best model.
     best_loss: f64,
     evaluations_since_best: u64,
 }
@@ -188,7 +191,7 @@ pub fn train(
         }
         let is_best = held_out_loss < state.best_loss;
         if is_best {
-            (state.best, state.best_loss) = (Some(encode_file(&state.net, model_info)?), held_out_loss);
+            (state.best_file, state.best_loss) = (Some(encode_file(&state.net, model_info)?), held_out_loss);
             state.evaluations_since_best = 0;
         } else {
             state.evaluations_since_best += 1;
@@ -205,7 +208,7 @@ pub fn train(
         }
     }
     state
-        .best
+        .best_file
         .map_or_else(|| encode_file(&state.net, model_info), Ok)
         .map(Trained::Model)
 }
@@ -216,7 +219,7 @@ impl TrainerState {
         Ok(Self {
             optimiser: AdamW::new(net.vars())?,
             net,
-            best: None,
+            best_file: None,
             best_loss: f64::INFINITY,
             evaluations_since_best: 0,
         })
@@ -236,17 +239,17 @@ impl TrainerState {
         let divisors = LossDivisors::from_batches(&batches)?;
         let loss_of_part = |batch: &TrainingBatch| -> candle_core::Result<(f64, TensorByName)> {
             let outputs = self.net.forward(&batch.tokens, &batch.targets)?;
-            let loss = Sums::from_outputs(batch, &outputs)?.loss(divisors)?;
+            let loss = LossSums::from_outputs(batch, &outputs)?.loss(divisors)?;
             let gradients = loss.backward()?;
-            let mut by_weight = TensorByName::new();
+            let mut gradient_by_weight = TensorByName::new();
             for (name, var) in self.net.vars() {
                 // Some operations of the framework have no backward pass and cut off gradients without an error.
                 let Some(gradient) = gradients.get(var.as_tensor()) else {
                     candle_core::bail!("no gradient reaches {name}");
                 };
-                by_weight.insert(name, gradient.clone());
+                gradient_by_weight.insert(name, gradient.clone());
             }
-            Ok((f64::from(loss.to_scalar::<f32>()?), by_weight))
+            Ok((f64::from(loss.to_scalar::<f32>()?), gradient_by_weight))
         };
         let parts: Vec<(f64, TensorByName)> = batches.par_iter().map(loss_of_part).collect::<Result<_, _>>()?;
         // Added in the order of the parts: floating-point sums must not depend on the threads.
@@ -270,18 +273,20 @@ impl TrainerState {
     }
 }
 
+/// Returns the score of `net` on the held-out chunks of `data`.
 fn evaluate(net: &Net, data: &Dataset, config: &DtTrainingConfig) -> Result<EvalScore, TransformerError> {
     let score_batch = |chunks: Vec<&Chunk>| {
         let batch = TrainingBatch::from_chunks(&chunks, config.shape)?;
-        Scores::from_outputs(&batch, &net.forward(&batch.tokens, &batch.targets)?)
+        ScoreSums::from_outputs(&batch, &net.forward(&batch.tokens, &batch.targets)?)
     };
     let batches = data.held_out_batches(config.batch_device_ttis / BATCH_PARTS);
-    let parts: Vec<Scores> = batches.into_par_iter().map(score_batch).collect::<Result<_, _>>()?;
-    let mut scores = Scores::default();
+    let parts: Vec<ScoreSums> = batches.into_par_iter().map(score_batch).collect::<Result<_, _>>()?;
+    // Added in the order of the batches: floating-point sums must not depend on the threads.
+    let mut sums = ScoreSums::default();
     for part in parts {
-        scores.add(part);
+        sums.add(part);
     }
-    Ok(scores.score())
+    Ok(sums.to_score())
 }
 
 /// Returns the bytes of a file with the weights of `net`, with `model_info` in its metadata.
@@ -290,20 +295,20 @@ fn evaluate(net: &Net, data: &Dataset, config: &DtTrainingConfig) -> Result<Eval
 /// If the framework or the format fails.
 pub fn encode_file(net: &Net, model_info: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
     let shape = net.shape();
-    let mut values = Vec::new();
-    for (name, size) in shape.tensors() {
-        let bytes: Vec<u8> = net.values(name)?.into_iter().flat_map(f32::to_le_bytes).collect();
-        values.push((name, size, bytes));
-    }
     let mut tensors = Vec::new();
-    for (name, size, bytes) in &values {
-        tensors.push((*name, TensorView::new(Dtype::F32, size.clone(), bytes)?));
+    for (name, tensor_shape) in shape.tensors() {
+        let bytes: Vec<u8> = net.values(name)?.into_iter().flat_map(f32::to_le_bytes).collect();
+        tensors.push((name, tensor_shape, bytes));
+    }
+    let mut views = Vec::new();
+    for (name, tensor_shape, bytes) in &tensors {
+        views.push((*name, TensorView::new(Dtype::F32, tensor_shape.clone(), bytes)?));
     }
     // Only one key: the order of several would be random.
     let metadata = [(METADATA_KEY.to_owned(), encode_metadata(shape, model_info))]
         .into_iter()
         .collect();
-    Ok(safetensors::serialize(tensors, Some(metadata))?)
+    Ok(safetensors::serialize(views, Some(metadata))?)
 }
 
 #[cfg(test)]

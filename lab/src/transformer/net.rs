@@ -1,5 +1,6 @@
 //! The model in the training framework: the same sums as in [`reveille_bs::policy::dt::model`], in differentiable form.
-//! Change both; names and sizes of the tensors come from [`ModelShape::tensors`].
+//! Change both: a test compares their outputs. Names and sizes of the tensors come from [`ModelShape::tensors`]; this
+//! file repeats the names. A batch has C chunks with T TTIs of N devices, and F features per token.
 
 use std::collections::BTreeMap;
 
@@ -19,12 +20,12 @@ pub struct Net {
 pub struct Outputs {
     /// Logarithms by chunk, TTI, device and output, `[C, T, N, OUTPUTS]`.
     pub logs: Tensor,
-    /// The logarithm of the price for each chunk and TTI, `[C, T]`.
-    pub price: Tensor,
+    /// The logarithm of the price for each chunk and TTI, `[C, T]`. The policy also limits it.
+    pub log_price: Tensor,
 }
 
 impl Net {
-    /// Creates a net that expects events by α alone, with weights drawn from `seed`.
+    /// Creates a net with weights drawn from `seed`. Its output weights are 0, so it expects events by α alone.
     ///
     /// # Errors
     /// If the framework fails.
@@ -76,7 +77,7 @@ impl Net {
         self.vars[name].as_tensor()
     }
 
-    /// Computes the outputs for `tokens`, `[C, T, N, F]`, with the targets of each chunk and TTI, `[C, T]`.
+    /// Computes the outputs for `tokens`, `[C, T, N, F]`, with the `targets` of each chunk and TTI, `[C, T]`.
     ///
     /// # Errors
     /// If the tensors have other shapes.
@@ -96,10 +97,10 @@ impl Net {
         let pooled = normed.detach().reshape((c * t, n, d))?.mean(1)?;
         let price_input = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
         let price_hidden = self.linear(&price_input, "price.in.weight", "price.in.bias")?.relu()?;
-        let price = self.linear(&price_hidden, "price.out.weight", "price.out.bias")?;
+        let log_price = self.linear(&price_hidden, "price.out.weight", "price.out.bias")?;
         Ok(Outputs {
             logs: limited.reshape((c, t, n, OUTPUTS))?,
-            price: price.reshape((c, t))?,
+            log_price: log_price.reshape((c, t))?,
         })
     }
 
@@ -107,18 +108,21 @@ impl Net {
         x.matmul(self.var(weight))?.broadcast_add(self.var(bias))
     }
 
+    /// Divides each row by its root mean square and multiplies it by the weight `scale`.
     fn norm(&self, x: &Tensor, scale: &str) -> Result<Tensor> {
-        let mean = x.sqr()?.mean_keepdim(D::Minus1)?;
-        let inverse = (mean + f64::from(NORM_EPSILON))?.sqrt()?.recip()?;
-        x.broadcast_mul(&inverse)?.broadcast_mul(self.var(scale))
+        let mean_square = x.sqr()?.mean_keepdim(D::Minus1)?;
+        let inverse_root = (mean_square + f64::from(NORM_EPSILON))?.sqrt()?.recip()?;
+        x.broadcast_mul(&inverse_root)?.broadcast_mul(self.var(scale))
     }
 
+    /// Adds a layer with the weights `names`: norm, then weight and bias of the input, then of the output.
     fn feed_forward(&self, x: &Tensor, names: [&str; 5]) -> Result<Tensor> {
         let [norm, in_weight, in_bias, out_weight, out_bias] = names;
         let inner = self.linear(&self.norm(x, norm)?, in_weight, in_bias)?.relu()?;
         x + self.linear(&inner, out_weight, out_bias)?
     }
 
+    /// Applies the attention of each device to its last Z TTIs, to rows `[C·T·N, d]`.
     fn attend_in_time(&self, x: &Tensor, (c, t, n): (usize, usize, usize)) -> Result<Tensor> {
         let (heads, width) = (self.shape.heads, self.shape.head_width());
         let normed = self.norm(x, "time.norm")?;
@@ -158,19 +162,21 @@ impl Net {
     fn lag_bias(&self, t: usize) -> Result<Tensor> {
         let (heads, z) = (self.shape.heads, self.shape.memory);
         let bias = self.var("time.bias");
+        // A last column for all other lags, whose weight the softmax makes 0.
         let out_of_reach = Tensor::full(-1e9_f32, (heads, 1), &Device::Cpu)?.to_dtype(bias.dtype())?;
         let lags = Tensor::cat(&[bias, &out_of_reach], 1)?;
-        let index = |now: usize, then: usize| match now.checked_sub(then) {
+        let lag_column = |query_tti: usize, key_tti: usize| match query_tti.checked_sub(key_tti) {
             Some(lag) if lag < z => lag as u32,
             Some(_) | None => z as u32,
         };
         let indices: Vec<u32> = (0..t)
-            .flat_map(|now| (0..t).map(move |then| index(now, then)))
+            .flat_map(|query_tti| (0..t).map(move |key_tti| lag_column(query_tti, key_tti)))
             .collect();
         let indices = Tensor::from_vec(indices, t * t, &Device::Cpu)?;
         lags.index_select(&indices, 1)?.reshape((heads, t, t))
     }
 
+    /// Applies the linear attention of each device to all devices in the same TTI, to rows `[C·T·N, d]`.
     fn attend_in_space(&self, x: &Tensor, (c, t, n): (usize, usize, usize)) -> Result<Tensor> {
         let (heads, width) = (self.shape.heads, self.shape.head_width());
         let normed = self.norm(x, "space.norm")?;
@@ -179,8 +185,8 @@ impl Net {
             let split = normed.matmul(self.var(name))?.reshape((c * t, n, heads, width))?;
             split.transpose(1, 2)?.contiguous()
         };
-        let feature = |x: Tensor| x.relu()? + f64::from(MIN_FEATURE);
-        let (query, key) = (feature(by_tti("space.query")?)?, feature(by_tti("space.key")?)?);
+        let positive = |x: Tensor| x.relu()? + f64::from(MIN_FEATURE);
+        let (query, key) = (positive(by_tti("space.query")?)?, positive(by_tti("space.key")?)?);
         let summary = key.t()?.contiguous()?.matmul(&by_tti("space.value")?)?;
         let weight_sum = query.broadcast_mul(&key.sum_keepdim(2)?)?.sum_keepdim(D::Minus1)?;
         // Every feature is at least `MIN_FEATURE`, so the divisor is above 0.
@@ -202,10 +208,13 @@ impl Net {
         )
     }
 
-    /// Returns the values of a weight.
+    /// Returns the values of the weight `name`.
     ///
     /// # Errors
     /// If the framework fails.
+    ///
+    /// # Panics
+    /// If the shape has no tensor of this name.
     pub fn values(&self, name: &str) -> Result<Vec<f32>> {
         self.var(name).to_dtype(DType::F32)?.flatten_all()?.to_vec1()
     }

@@ -1,4 +1,5 @@
-//! AdamW with a clipped gradient. Its state is part of a checkpoint; sums follow the order of the weights' names.
+//! AdamW with a clipped gradient, for [`super::train`]. Its state is part of a checkpoint; sums follow the order of the
+//! weights' names. Another constant below changes trained models.
 
 use std::collections::BTreeMap;
 
@@ -8,6 +9,7 @@ use candle_core::{Result, Tensor, Var};
 const BETAS: (f64, f64) = (0.9, 0.999);
 /// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
+/// The norm over all weights above which the gradient is scaled down.
 const MAX_GRADIENT_NORM: f64 = 1.0;
 /// Decay of weights per step, as a multiple of the learning rate.
 const WEIGHT_DECAY: f64 = 0.01;
@@ -17,12 +19,12 @@ pub(super) type TensorByName = BTreeMap<&'static str, Tensor>;
 
 /// The running means of each weight's gradient, and of its square.
 pub(super) struct AdamW {
-    /// The number of completed steps.
+    /// The number of completed steps. It is also the training's: batches and the learning rate follow from it.
     pub steps: u64,
     /// The mean gradients by weight.
-    pub means: TensorByName,
+    pub mean_gradients: TensorByName,
     /// The mean squared gradients by weight.
-    pub squares: TensorByName,
+    pub mean_squares: TensorByName,
 }
 
 impl AdamW {
@@ -35,8 +37,8 @@ impl AdamW {
         };
         Ok(Self {
             steps: 0,
-            means: zeros()?,
-            squares: zeros()?,
+            mean_gradients: zeros()?,
+            mean_squares: zeros()?,
         })
     }
 
@@ -44,14 +46,17 @@ impl AdamW {
     ///
     /// # Errors
     /// If the framework fails.
+    ///
+    /// # Panics
+    /// If a weight has no gradient.
     pub(super) fn step(
         &mut self,
         vars: &BTreeMap<&'static str, Var>,
         gradients: &TensorByName,
         rate: f64,
     ) -> Result<()> {
-        let mut squared_norm = 0.0;
         // One norm over all weights, in the order of their names: the clip keeps the direction of the step.
+        let mut squared_norm = 0.0;
         for gradient in gradients.values() {
             squared_norm += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
@@ -67,14 +72,16 @@ impl AdamW {
         for (name, var) in vars {
             let gradient = (&gradients[name] * clip)?;
             // Detached: otherwise each mean would hold the graph of all earlier steps.
-            let mean = ((&self.means[name] * mean_decay)? + (&gradient * (1.0 - mean_decay))?)?.detach();
-            let square = ((&self.squares[name] * square_decay)? + (gradient.sqr()? * (1.0 - square_decay))?)?.detach();
-            let root_mean_square = ((&square / bias_divisor(square_decay))?.sqrt()? + EPSILON)?;
-            let direction = ((&mean / bias_divisor(mean_decay))? / root_mean_square)?;
+            let mean_gradient =
+                ((&self.mean_gradients[name] * mean_decay)? + (&gradient * (1.0 - mean_decay))?)?.detach();
+            let mean_square =
+                ((&self.mean_squares[name] * square_decay)? + (gradient.sqr()? * (1.0 - square_decay))?)?.detach();
+            let root_mean_square = ((&mean_square / bias_divisor(square_decay))?.sqrt()? + EPSILON)?;
+            let direction = ((&mean_gradient / bias_divisor(mean_decay))? / root_mean_square)?;
             let decayed = (var.as_tensor() * (1.0 - rate * WEIGHT_DECAY))?;
             var.set(&(decayed - (direction * rate)?)?)?;
-            self.means.insert(name, mean);
-            self.squares.insert(name, square);
+            self.mean_gradients.insert(name, mean_gradient);
+            self.mean_squares.insert(name, mean_square);
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! Tests of [`train`] and [`Net`]. The outputs of a net are compared with the inference of the policy `dt`, its
 //! gradients with finite differences of the loss, and scores with the values that follow from how the data is drawn.
-//! Not checked: the quality of a model trained on recorded runs.
+//! Not checked: the quality of a model trained on recorded runs. Expected gains are computed; their tolerances allow
+//! for short trainings and the noise of the data.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -138,10 +139,10 @@ fn compare_outputs(shape: ModelShape) {
     let chunks = random_chunks(2, 0.5);
     let batch = batch_of(&chunks, shape);
     let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
-    let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
+    let (logs, log_prices) = (outputs.logs.flatten_all(), outputs.log_price.flatten_all());
     let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
-    let prices: Vec<f32> = prices.and_then(|prices| prices.to_vec1()).expect("numbers");
-    let (mut logs_by_tti, mut prices) = (logs.chunks(DEVICES * OUTPUTS), prices.into_iter());
+    let log_prices: Vec<f32> = log_prices.and_then(|prices| prices.to_vec1()).expect("numbers");
+    let (mut logs_by_tti, mut log_prices) = (logs.chunks(DEVICES * OUTPUTS), log_prices.into_iter());
     for chunk in &chunks {
         let mut forward = ForwardPass::new(Arc::clone(&weights), chunk.devices);
         for (step, target) in chunk.steps.iter().zip(&chunk.returns) {
@@ -149,7 +150,7 @@ fn compare_outputs(shape: ModelShape) {
             for (policy, net) in policy_logs.iter().zip(logs_by_tti.next().expect("a TTI")) {
                 assert!((policy - net).abs() < 1e-5, "logarithm: policy {policy}, net {net}");
             }
-            let (policy, net) = (forward.log_price(*target), prices.next().expect("a TTI"));
+            let (policy, net) = (forward.log_price(*target), log_prices.next().expect("a TTI"));
             assert!((policy - net).abs() < 1e-5, "price: policy {policy}, net {net}");
         }
     }
@@ -175,7 +176,7 @@ fn compare_gradients(objective: ModelObjective) {
     let loss_of = |batch: &TrainingBatch| {
         let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
         let divisors = LossDivisors::from_batches(std::slice::from_ref(batch)).expect("sums");
-        Sums::from_outputs(batch, &outputs)
+        LossSums::from_outputs(batch, &outputs)
             .and_then(|sums| sums.loss(divisors))
             .expect("a loss")
     };
@@ -192,10 +193,10 @@ fn compare_gradients(objective: ModelObjective) {
                 .expect(name);
             loss_of(batch).to_scalar::<f64>().expect("a number")
         };
-        let step = 1e-7;
+        let shift = 1e-7;
         // About 12 values of each weight, to save time.
         for index in (0..values.len()).step_by(values.len().div_ceil(12)) {
-            let slope = (loss_with_shift(index, step) - loss_with_shift(index, -step)) / (2.0 * step);
+            let slope = (loss_with_shift(index, shift) - loss_with_shift(index, -shift)) / (2.0 * shift);
             let tolerance = 1e-4 * slope.abs() + 1e-6;
             assert!(
                 (gradient[index] - slope).abs() < tolerance,
@@ -364,7 +365,7 @@ fn an_invalid_checkpoint_is_refused_with_the_reason() {
         bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
         bytes
     };
-    // Line ends are escaped in the header. The first counter is the 2 steps.
+    // Line ends are escaped in the header. The first 2 is `FORMAT_VERSION`, the first counter the 2 steps.
     assert!(error_of(&edited(r#"training":"2\n"#, r#"training":"1\n"#), &own_config).contains("another version"));
     assert!(error_of(&edited(r"2\n2 ", r"2\nx "), &own_config).contains("damaged"));
     let other_config = DtTrainingConfig {
@@ -384,7 +385,7 @@ fn the_text_of_a_configuration_is_fixed() {
     assert_eq!(short_config(120, 40).to_json(), expected);
 }
 
-/// The parts of a batch are summed in their order, on any number of threads.
+/// The four parts of a batch (`BATCH_PARTS`) are summed in their order, on any number of threads.
 #[test]
 fn the_result_is_the_same_on_any_number_of_threads() {
     let train_on = |threads: usize| {
