@@ -49,7 +49,7 @@ pub(crate) use tools::{
 };
 #[cfg(feature = "train-dt")]
 pub(crate) use train::DtArgs;
-pub(crate) use train::{RecordArgs, TrainArgs, TrainCommand};
+pub(crate) use train::{QLearningArgs, RecordArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub(crate) use tune::ObjectiveArg;
 pub(crate) use tune::TuneArgs;
