@@ -100,10 +100,10 @@ fn called_words(program: &Command, args: &[OsString]) -> Vec<String> {
 
 /// Returns the text that names the subcommands with the option `given`; `None` without such subcommands, or if there
 /// are more than [`MAX_NAMED`].
-fn compose_hint(program: &Command, called_words: &[String], given: &str) -> Option<String> {
+fn compose_hint(program: &Command, command_words: &[String], given: &str) -> Option<String> {
     let given = given.split('=').next()?;
     let mut owners = find_owners(program, "", given);
-    let called = called_words.join(" ");
+    let called = command_words.join(" ");
     if RUN_COMMANDS.contains(&&*called) {
         let is_of_run = |(words, _): &(String, String)| RUN_COMMANDS.contains(&&**words);
         if owners.iter().any(is_of_run) {
