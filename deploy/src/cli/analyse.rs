@@ -1,5 +1,6 @@
 //! Options of `reveille analyse`, which `commands/analyse/` executes. Names of options are a public interface (see
-//! `cli`).
+//! `cli`). The range of `--seeds` repeats `MAX_SEEDS` of `study/src/analysis/mod.rs`. The help of `--readings` lists
+//! the readings by hand, and the help of `battery --ttis` states the warm-up of `commands/analyse/battery.rs`.
 
 use std::path::PathBuf;
 

@@ -336,7 +336,7 @@ async fn run_over_bus(
     let start = audit::AuditStart {
         from: resume_tti.unwrap_or_default(),
         inputs: &inputs,
-        log,
+        input_log: log,
     };
     let auditor = Auditor::start(prepared, start, *audit, progress);
     let spec = RunSpec {
@@ -344,7 +344,7 @@ async fn run_over_bus(
         session,
         checkpoint: resumption.map(Arc::new),
         // The replay also stores external inputs, so actions and a policy process need it under every --on-loss.
-        replay: Some(auditor.replay()),
+        replay: Some(auditor.replay_source()),
         decision_timeout: service.policy_source.decision_timeout,
     };
     let mut observers = (observer, (&mut mark_writer, auditor.observer()));

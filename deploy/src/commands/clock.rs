@@ -27,7 +27,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
         .await?
         .with_key(address.key);
-    let command = match args.command.command() {
+    let command = match args.command.clock_command() {
         Ok(command) => command,
         Err(act) => return act_on_run(bus, &ActRequest::from(act)).await,
     };
