@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use reveille_common::declare::describe_read_error;
 
-/// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
-/// metrics, and version 2, without the causes of missed events, are still read.
+/// The version of the table format, raised when a column changes its name or meaning, or a metric is added. Still read:
+/// version 1, with former names of metrics, and versions 2 and 3, without `Metrics::ADDED_LATER` or part of it.
 pub(crate) const TABLE_VERSION: u32 = 4;
 
 /// A reason why a result table cannot be read or written.
