@@ -272,7 +272,7 @@ impl RunLoop<'_> {
     }
 
     fn send_grant(&mut self, changes: Vec<Change>, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
-        self.downlink.drop_messages();
+        self.downlink.drop_grant_messages();
         for update in updates {
             tracing::debug!(from = %update.from, "the plan is sent");
             self.downlink.send_plan(update)?;
@@ -292,8 +292,8 @@ impl RunLoop<'_> {
         {
             let mut state = self.context.shared.lock();
             let options = GrantOptions {
-                totals: wants_totals,
-                views: wants_views,
+                wants_totals,
+                wants_views,
             };
             state.barrier.expect_grant(last, stimulus.is_some(), options);
         }

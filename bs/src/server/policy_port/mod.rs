@@ -239,7 +239,7 @@ impl<'a> PolicyPort<'a> {
                     }
                 }
                 ControlFlow::Continue(Some(PeerReply::Invalid(why))) => {
-                    self.counts.refused += 1;
+                    self.counts.refused_answers += 1;
                     invalid_answers += 1;
                     tracing::warn!(%tti, "invalid answer: {why}");
                     if invalid_answers >= MAX_INVALID_ANSWERS {
@@ -441,7 +441,7 @@ impl<'a> PolicyPort<'a> {
         };
         let extra_answers = replies.drain().filter(is_from_same_peer).count() as u64;
         if extra_answers > 0 {
-            self.counts.refused += extra_answers;
+            self.counts.refused_answers += extra_answers;
             self.warn_about_peer("a decision request was answered twice; the first answer counts".to_owned());
         }
     }
