@@ -39,7 +39,7 @@ impl ActionHandler {
         for change in &request.changes {
             check_change(&change.within(devices), &self.scenario)?;
         }
-        // Held to the end, so that the run loop grants no TTI from which `action_tti` has chosen.
+        // Held to the end, so that the TTI from `action_tti` is not granted before the actions are pending.
         let mut state = self.shared.lock_between_grants();
         let changes = request.changes.into_iter();
         request.changes = changes

@@ -66,7 +66,7 @@ pub struct ServerConfig {
     pub pace: Pace,
     /// Action when a host is lost.
     pub on_loss: OnLoss,
-    /// TTIs in a window of the per-window series.
+    /// TTIs in a window of the per-window series, ≥ 1. `serve` does not read it: its caller makes the session with it.
     pub window_ttis: u64,
     /// Time to wait for all devices to join; `None` for no limit.
     pub join_timeout: Option<Duration>,
