@@ -213,7 +213,7 @@ pub(crate) struct RuntimeArgs {
     )]
     pub devices: String,
     /// Policies to time, separated by commas.
-    #[arg(long, short, alias = "policy", default_value_t = registry::names_where(|_| true))]
+    #[arg(long, short, alias = "policy", default_value_t = registry::comma_separated_names(|_| true))]
     pub policies: String,
     /// Length of a timed run in TTIs.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]

@@ -510,7 +510,7 @@ fn timing(served: &ServerOutcome, preparation_time: Duration) -> Timing {
         malformed_messages: served.malformed_payloads,
         unexpected_messages: served.unexpected_messages,
         decisions: served.decisions.decided,
-        decisions_refused: served.decisions.refused,
+        decisions_refused: served.decisions.refused_answers,
         decisions_held: served.decisions.held,
         losses: served.loss_durations.len(),
         longest_loss_s: served.loss_durations.iter().max().map_or(0.0, Duration::as_secs_f64),
