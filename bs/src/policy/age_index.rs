@@ -126,7 +126,7 @@ impl Policy for AgeIndex {
     }
 }
 
-/// The policy `age-index`.
+/// The policy `age-index`. The text is part of docs/scenario.md.
 pub(crate) const AGE_INDEX: PolicyEntry = PolicyEntry {
     about: "Covers the places left uncovered for longest, while the gain is worth the energy. Wakes by expected gain; \
             needs no training.",

@@ -101,7 +101,7 @@ impl Policy for Adjusted {
     }
 }
 
-/// The policy `adjusted`.
+/// The policy `adjusted`. The text is part of docs/scenario.md.
 pub(crate) const ADJUSTED: PolicyEntry = PolicyEntry {
     about: "One duty cycle for all devices, found by exhaustive search in pilot runs. Wakes any \
             device, the most correlated first.",

@@ -168,7 +168,7 @@ impl Policy for Dt {
     }
 }
 
-/// The policy `dt`.
+/// The policy `dt`. The text is part of docs/scenario.md.
 pub(crate) const DT: PolicyEntry = PolicyEntry {
     about: "Decision transformer (Algorithm 2), trained offline. Predicts events from past detections.",
     runtime: "O(N²)",
