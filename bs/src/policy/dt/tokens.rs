@@ -101,8 +101,8 @@ struct ReportedEvent {
 }
 
 /// State of the base station from which tokens are built. Calls in each TTI: `begin_tti`, then `mark_sensing`, then
-/// `add_report` for each report. The observations must hold batteries. The tokens, `can_sense` and `expected_events`
-/// are those of the last `begin_tti`.
+/// `add_report` for each report. The observations must hold batteries. `tokens`, `can_sense` and `expected_events`
+/// refer to the TTI of the last `begin_tti`.
 #[derive(Clone, Debug)]
 pub(crate) struct TokenBuilder {
     ages: Ages,
