@@ -84,7 +84,7 @@ impl Policy for Adjusted {
             t_drx,
             reaches_i_min,
             searched_pairs,
-            pilot_events,
+            fewest_pilot_events,
             pilot_ttis,
             device_ttis,
         } = self.choice;
@@ -94,14 +94,14 @@ impl Policy for Adjusted {
             ("i_min", self.information_target.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
             ("searched_pairs", f64::from(searched_pairs)),
-            ("pilot_events", pilot_events as f64),
+            ("pilot_events", fewest_pilot_events as f64),
             ("pilot_ttis", pilot_ttis as f64),
             ("searched_device_ttis", device_ttis as f64),
         ]
     }
 }
 
-/// The policy `adjusted`.
+/// The policy `adjusted`. The text is part of docs/scenario.md.
 pub(crate) const ADJUSTED: PolicyEntry = PolicyEntry {
     about: "One duty cycle for all devices, found by exhaustive search in pilot runs. Wakes any \
             device, the most correlated first.",
