@@ -32,7 +32,7 @@ impl ActionHandler {
         let replay = replay.ok_or("this run stores no external inputs, so it takes no actions")?;
         let devices = self.scenario.run.devices;
         for change in &request.changes {
-            check_change(&change.within(devices), &self.scenario)?;
+            check_change(&change.with_all_resolved(devices), &self.scenario)?;
         }
         let mut state = self.shared.lock_between_grants();
         let changes = request.changes.into_iter();

@@ -3,7 +3,8 @@
 //!
 //! Digests depend on the order of draws: whether it starts on, then the periods in turn;
 //! `tests/src/reference/harvest.rs` repeats it. The order of fields in `visit` is part of the scenario hash, the help
-//! texts are part of `docs/scenario.md`. [`OnOffSetup`] goes to hosts in the wire format (`WIRE_VERSION`); no file stores it.
+//! texts are part of `docs/scenario.md`. [`OnOffSetup`] goes to hosts in the wire format (`WIRE_VERSION`); no file
+//! stores it.
 
 use serde::{Deserialize, Serialize};
 

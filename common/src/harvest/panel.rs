@@ -41,10 +41,10 @@ impl Panel {
         1000.0 * square_metres * self.efficiency / self.unit_mj
     }
 
-    /// Energy per TTI of the rows `irradiance`, W/m²; row i is the value at time i·`row_seconds`. The caller has checked
-    /// that there is a row, and that none is negative. After the last row the first one follows; with `stops` the last
-    /// value holds for one more row.
-    /// If the rows cover more than [`MAX_TTIS_PER_COLUMN`] TTIs, the result ends after `needed_ttis` TTIs.
+    /// Energy per TTI of the rows `irradiance`, W/m²; row i is the value at time i·`row_seconds`. The caller has
+    /// checked that there is a row, and that none is negative. After the last row the first one follows; with `stops`
+    /// the last value holds for one more row. If the rows cover more than [`MAX_TTIS_PER_COLUMN`] TTIs, the result ends
+    /// after `needed_ttis` TTIs.
     ///
     /// # Errors
     /// If the rows are not a whole number of TTIs, too many TTIs are needed, or the energy in a TTI exceeds the limit.
@@ -67,8 +67,8 @@ impl Panel {
         };
         if converted_ttis > MAX_TTIS_PER_COLUMN {
             return Err(format!(
-                "the run needs {converted_ttis} TTIs of its {row_count} rows, and the limit is {MAX_TTIS_PER_COLUMN}; set \
-                 a longer harvest.trace.panel.tti_seconds, or fewer ttis"
+                "the run needs {converted_ttis} TTIs of its {row_count} rows, and the limit is {MAX_TTIS_PER_COLUMN}; \
+                 set a longer harvest.trace.panel.tti_seconds, or fewer ttis"
             ));
         }
         let after_last = if stops { irradiance.last() } else { irradiance.first() };

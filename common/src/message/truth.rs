@@ -22,7 +22,8 @@ pub struct WorldUpdate {
     /// The stimulus in `last`, if any device might react to it.
     pub stimulus: Option<Stimulus>,
     /// The last TTI of that stimulus.
-    pub until: Tti,
+    #[serde(rename = "until")]
+    pub stimulus_last: Tti,
 }
 
 impl Concerns for WorldUpdate {}
