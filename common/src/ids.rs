@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 /// Maximum number of devices N. `lab/src/training/mod.rs` has a constant with this value; error texts in tests and
 /// `docs/scenario.md` state both maxima.
 pub const MAX_DEVICES: u32 = 1_000_000;
-/// Maximum length of a run K, an event or an interval, in TTIs.
+/// Maximum length of a run K, an event or an interval, in TTIs. It must be below 2³⁰
+/// ([`DutyCycle::sum_over_span`](crate::plan::DutyCycle::sum_over_span)).
 pub const MAX_TTIS: u64 = 1_000_000_000;
 
 /// The number of a device, `0 .. N`.
