@@ -60,7 +60,7 @@ pub struct RadioSettings {
     pub uplink_loss: f64,
     /// Probability that a device misses a plan, `[0, 1]`.
     pub plan_loss: f64,
-    /// TTIs from a wake-up until the device is awake, at most [`MAX_WAKE_LATENCY_TTIS`].
+    /// TTIs from a wake-up until the device is awake, at most `MAX_WAKE_LATENCY_TTIS`.
     pub wake_latency: u64,
     /// Bursts with higher loss.
     pub bursts: Option<InterferenceBursts>,
