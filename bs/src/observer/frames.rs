@@ -33,7 +33,7 @@ impl FrameEncoder {
                     first: grant.first,
                     last: grant.last,
                     stimulus: grant.stimulus,
-                    until: grant.until,
+                    stimulus_last: grant.until,
                 };
                 emit(Frame::new(grant.first, (), &world));
             }

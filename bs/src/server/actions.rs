@@ -37,7 +37,7 @@ impl ActionHandler {
         let replay = replay.ok_or("this run stores no external inputs, so it takes no actions")?;
         let devices = self.scenario.run.devices;
         for change in &request.changes {
-            check_change(&change.within(devices), &self.scenario)?;
+            check_change(&change.with_all_resolved(devices), &self.scenario)?;
         }
         // Held to the end, so that the TTI from `action_tti` is not granted before the actions are pending.
         let mut state = self.shared.lock_between_grants();

@@ -78,7 +78,7 @@ impl ServerState {
             tti: self.next_tti,
             ttis: end.0,
             paused: self.is_paused && self.next_tti >= self.clock.until(),
-            until: self.clock.until().min(end),
+            stop_before: self.clock.until().min(end),
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::harvest::Harvest;
-use crate::harvest::testing::{arrivals, draw_harvests, trace_fields};
+use crate::harvest::testing::{arrival_ttis, draw_mean_harvests, trace_fields};
 use crate::ids::Tti;
 use crate::scenario::testing::scenario_with;
 
@@ -21,7 +21,7 @@ fn the_expected_harvest_equals_the_mean_of_the_drawn_harvests() {
         &["harvest.kind=diurnal", "harvest.diurnal.start_hour=22", "ttis=605"],
     ] {
         let scenario = scenario_with(&[set, &["devices=2000"]].concat());
-        let drawn = draw_harvests(&scenario);
+        let drawn = draw_mean_harvests(&scenario);
         let n = drawn.len() as f64;
         let mean = drawn.iter().sum::<f64>() / n;
         let deviation = (drawn.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
@@ -41,7 +41,7 @@ fn recorded_harvest_is_exact_and_ranges_over_the_columns() {
             let mut fields = trace_fields(end, end);
             fields.push(format!("ttis={ttis}"));
             let scenario = scenario_with(&fields);
-            let drawn = draw_harvests(&scenario);
+            let drawn = draw_mean_harvests(&scenario);
             let balance = EnergyBalance::new(&scenario);
             let harvest = balance.harvest();
             let drawn_range = HarvestRange {
@@ -97,7 +97,7 @@ fn the_longest_gap_of_a_trace_is_the_longest_without_an_arrival() {
                     &format!("ttis={ttis}"),
                     "devices=3",
                 ]);
-                let gaps = arrivals(&scenario)
+                let gaps = arrival_ttis(&scenario)
                     .into_iter()
                     .map(|arrivals| longest_run(ttis, |tti| !arrivals.contains(&Tti(tti))));
                 let (gap, expected) = (longest_gap(&EnergyBalance::new(&scenario)), gaps.max());

@@ -52,7 +52,8 @@ impl EventBursts {
     }
 
     fn phases(&self, seed: u64) -> Phases {
-        Phases::new(Stream::new(seed, Purpose::Phases, 0), self.busy_ttis, self.quiet_ttis)
+        let stream = Stream::new(seed, Purpose::EventPhases, 0);
+        Phases::new(stream, self.busy_ttis, self.quiet_ttis)
     }
 }
 

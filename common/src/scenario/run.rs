@@ -6,7 +6,8 @@ use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, 
 use crate::ids::{MAX_DEVICES, MAX_TTIS};
 
 /// The presets. The first one changes nothing: it is the declared defaults, from which a file starts unless it names
-/// another preset. A changed default or preset changes the digests of its runs.
+/// another preset. A changed default or preset changes the digests of its runs. `study/src/report/claim_rows.rs`, help
+/// texts in `deploy/src/cli/`, the fuzz target `scenario` (their number) and `README.md` repeat them.
 pub const PRESETS: &[Preset] = &[
     Preset {
         name: "paper",
@@ -28,6 +29,7 @@ pub const PRESETS: &[Preset] = &[
 /// The presets as words of the field `preset`.
 const PRESET_WORDS: [Alternative; PRESETS.len()] = {
     let mut words = [Alternative { name: "", about: "" }; PRESETS.len()];
+    // A `for` loop is not possible in a constant.
     let mut index = 0;
     while index < words.len() {
         words[index] = Alternative {

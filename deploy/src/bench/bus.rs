@@ -97,7 +97,7 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
         first: tti,
         last: tti,
         stimulus: None,
-        until: Tti::ZERO,
+        stimulus_last: Tti::ZERO,
         wants_totals: false,
         wants_views: false,
         plan_from: Tti::ZERO,

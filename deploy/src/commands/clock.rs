@@ -83,7 +83,7 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
 /// # Errors
 /// If the clock stops or the run ends before the target.
 async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout: Duration) -> anyhow::Result<String> {
-    let (target, ttis) = (reply.until, reply.ttis);
+    let (target, ttis) = (reply.stop_before, reply.ttis);
     let mut status = reply;
     let (mut waited, mut has_warned) = (Duration::ZERO, false);
     loop {

@@ -219,7 +219,7 @@ impl GrantFollower {
         is_in_grant.then(|| WakeUpTask {
             device: index,
             tti: grant.last,
-            stimulus: (!self.radio.is_late(wake.tti, grant.until)).then_some(stimulus),
+            stimulus: (!self.radio.is_late(wake.tti, grant.stimulus_last)).then_some(stimulus),
         })
     }
 

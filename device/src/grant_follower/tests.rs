@@ -45,7 +45,7 @@ fn grant_of(ttis: RangeInclusive<u64>, plan_from: u64, plan_count: u32) -> Grant
         first: Tti(first),
         last: Tti(last),
         stimulus: None,
-        until: Tti(last).saturating_add(1),
+        stimulus_last: Tti(last).saturating_add(1),
         wants_totals: false,
         wants_views: false,
         plan_from: Tti(plan_from),
@@ -236,7 +236,7 @@ fn a_late_wake_up_shows_the_event_only_until_its_end() {
     });
     follower.receive_plan(plan_update(0, &[]));
     let mut grant = grant_of(0..=10, 0, 1);
-    (grant.stimulus, grant.until) = (Some(event_at(1.0)), Tti(17));
+    (grant.stimulus, grant.stimulus_last) = (Some(event_at(1.0)), Tti(17));
     follower.receive_grant(grant);
     let receive = |sent| {
         follower

@@ -576,7 +576,7 @@ impl WakeUpRadio {
 
     /// The TTI of the next false wake-up, if the device sleeps then.
     pub(crate) const fn next_false_wake_up(&self) -> Tti {
-        self.false_wake_ups.next()
+        self.false_wake_ups.next_tti()
     }
 
     /// Consumes that TTI and returns the next one.
