@@ -48,7 +48,7 @@ macro_rules! declare {
             $vis const SECTION: &'static $crate::declare::Section = &$crate::declare::Section {
                 path: $path,
                 about: concat!($($about),+).trim_ascii(),
-                fields: &[$( $field.named(stringify!($name), concat!($($help),+).trim_ascii()) ),+],
+                fields: &[$( $field.with_name_and_help(stringify!($name), concat!($($help),+).trim_ascii()) ),+],
                 only_with: $crate::declare!(@condition $($condition = $values)?),
             };
 

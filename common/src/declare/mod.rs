@@ -32,8 +32,9 @@ pub(crate) use error::did_you_mean;
 pub use error::{ScenarioError, quoted_list, truncate};
 pub(crate) use field::positive_energy;
 pub use field::{
-    ABOVE_ZERO, BELOW_ONE, Field, FieldCondition, FieldDefault, FieldType, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range,
-    Section, choice, energy, file, number, registered, source, switch, text, texts, whole, wholes, word,
+    Field, FieldCondition, FieldDefault, FieldType, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range, SHARE_ABOVE_ZERO,
+    SHARE_BELOW_ONE, Section, choice, energy, file, number, registered, switch, text, texts, whole, wholes, word,
+    word_or_file,
 };
 pub use field::{FieldSink, Visit};
 pub use files::{FileError, Files, NoFiles, describe_read_error};

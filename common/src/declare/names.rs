@@ -253,7 +253,7 @@ fn check_type(
         FieldType::Switch => require(value.get_ref().is_bool()),
         FieldType::Choice(words) => word(words),
         FieldType::Registered => word(registered),
-        FieldType::Text | FieldType::File | FieldType::Source(_) => require(value.get_ref().is_str()),
+        FieldType::Text | FieldType::File | FieldType::WordOrFile(_) => require(value.get_ref().is_str()),
         FieldType::Wholes { .. } => check_items(value, mismatch, &FieldType::Whole { min: 0, max: u64::MAX }),
         FieldType::Texts => check_items(value, mismatch, &FieldType::Text),
     }

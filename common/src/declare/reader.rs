@@ -180,9 +180,11 @@ impl<'a> FieldReader<'a> {
             FieldType::Switch => value
                 .as_bool()
                 .and_then(|is_on| T::from_value(FieldValue::Switch(is_on))),
-            FieldType::Choice(_) | FieldType::Registered | FieldType::Text | FieldType::File | FieldType::Source(_) => {
-                value.as_str().and_then(|text| T::from_value(FieldValue::Text(text)))
-            }
+            FieldType::Choice(_)
+            | FieldType::Registered
+            | FieldType::Text
+            | FieldType::File
+            | FieldType::WordOrFile(_) => value.as_str().and_then(|text| T::from_value(FieldValue::Text(text))),
             FieldType::Wholes { min, max, max_len } => {
                 let list: Vec<i128> = elements(value).filter_map(to_integer).collect();
                 let range = i128::from(*min)..=i128::from(*max);
@@ -340,7 +342,7 @@ impl<'a> FieldReader<'a> {
     ///
     /// # Errors
     /// If the name is empty, or there is no working directory.
-    pub fn file(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
+    pub fn absolute_path(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
         let (_, origin) = self.locate(path);
         let full = match origin {
             ValueOrigin::Flag(_) => PathBuf::from(file),

@@ -88,7 +88,7 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
             for word in words {
                 let _ = writeln!(page, "- `\"{}\"`: {}", word.name, word.about.replace('\n', " "));
             }
-            if matches!(field.field_type, FieldType::Source(_)) {
+            if matches!(field.field_type, FieldType::WordOrFile(_)) {
                 page.push_str("- any other text: the path of a file.\n");
             }
         }
@@ -103,7 +103,7 @@ const fn describe_type(field_type: &FieldType) -> &'static str {
         FieldType::Choice(_) | FieldType::Registered => "one of the values below",
         FieldType::Text => "text",
         FieldType::File => "path of a file",
-        FieldType::Source(_) => "a value below, or the path of a file",
+        FieldType::WordOrFile(_) => "a value below, or the path of a file",
         FieldType::Wholes { .. } => "list of whole numbers",
         FieldType::Texts => "list of texts",
     }
@@ -125,7 +125,7 @@ fn describe_range(field: &Field) -> String {
         | FieldType::Registered
         | FieldType::Text
         | FieldType::File
-        | FieldType::Source(_) => String::new(),
+        | FieldType::WordOrFile(_) => String::new(),
     }
 }
 

@@ -115,7 +115,7 @@ fn type_schema(declaration: &Declaration, field_type: &FieldType) -> Json {
         FieldType::Choice(words) => choice_schema(words),
         FieldType::Registered => choice_schema(&declaration.registered),
         FieldType::Text | FieldType::File => json!({ "type": "string", "minLength": 1 }),
-        FieldType::Source(words) => {
+        FieldType::WordOrFile(words) => {
             let path = json!({ "type": "string", "minLength": 1, "description": "The path of a file." });
             json!({ "anyOf": [choice_schema(words), path] })
         }

@@ -173,7 +173,7 @@ fn field_comment(
     let words = declaration.words_of(&field.field_type);
     if !words.is_empty() {
         let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
-        if matches!(field.field_type, FieldType::Source(_)) {
+        if matches!(field.field_type, FieldType::WordOrFile(_)) {
             words.push("a file".to_owned());
         }
         parts.push(words.join(" or "));

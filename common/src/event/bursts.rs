@@ -1,7 +1,7 @@
 //! The event process `bursts`: events are frequent in busy phases and rare in quiet phases. Digests depend on the
 //! draws: one per event, and the draws of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts.
 
-use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
+use crate::declare::{PROBABILITY, Range, SHARE_ABOVE_ZERO, number};
 use crate::ids::{EventId, Tti};
 use crate::phases::{Phase, Phases};
 use crate::rng::{Purpose, Stream};
@@ -16,7 +16,7 @@ crate::declare! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct EventBursts in "events.bursts" only with "events.process" = &["bursts"]; {
         /// Probability that an event starts in a busy-phase TTI without an active event.
-        pub busy_alpha: f64 = number(ABOVE_ZERO, 0.8).unit("per TTI"),
+        pub busy_alpha: f64 = number(SHARE_ABOVE_ZERO, 0.8).unit("per TTI"),
         /// Probability that an event starts in a quiet-phase TTI without an active event.
         pub quiet_alpha: f64 = number(PROBABILITY, 0.02).unit("per TTI"),
         /// Mean length of a busy phase.

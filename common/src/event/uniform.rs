@@ -1,7 +1,7 @@
 //! Uniform epicentres and a constant start probability: the process `uniform`, and the base of the other processes.
 //! Digests depend on the draws: x, then y; one gap per event.
 
-use crate::declare::{ABOVE_ZERO, number};
+use crate::declare::{SHARE_ABOVE_ZERO, number};
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 use crate::rng::{Geometric, Purpose, Stream};
@@ -29,7 +29,7 @@ crate::declare! {
     #[derive(Clone, Copy, Debug)]
     pub(super) struct Rate in "events" only with "events.process" = &["uniform", "hot-spots", "aftershocks"]; {
         /// Probability α that an event starts in a TTI without an active event.
-        pub(super) alpha: f64 = number(ABOVE_ZERO, 0.2)
+        pub(super) alpha: f64 = number(SHARE_ABOVE_ZERO, 0.2)
             .unit("per TTI")
             .source("Sec. II; 0.1 there, 0.2 by calibration"),
     }

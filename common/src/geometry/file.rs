@@ -30,7 +30,7 @@ impl FileLayout {
         devices: u32,
         class_names: &[&str],
     ) -> Result<Self, ScenarioError> {
-        let path = reader.file(FILE_FIELD, file)?;
+        let path = reader.absolute_path(FILE_FIELD, file)?;
         let count = devices as usize;
         let columns = reader
             .read_bytes(&path, MAX_FILE_BYTES)
