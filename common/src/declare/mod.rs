@@ -7,6 +7,9 @@
 //! ([`reference_page()`]). None of this depends on the meaning of the fields.
 //!
 //! Reading, in order: `overrides` and `layer` parse, `names` checks, `layers` merges, `reader` checks ranges.
+//!
+//! A new or renamed field or word changes `docs/scenario.md`, `tests/fuzz/scenario.dict` and, for the scenarios in
+//! which it is active, the scenario hash. Tests in `bs/src/scenario/tests/pages.rs` compare the two files.
 
 mod choice;
 mod declaration;
