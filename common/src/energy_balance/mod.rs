@@ -1,6 +1,7 @@
 //! The energy balance of a scenario before it runs: expected harvest against the costs of sensing, sleeping and
 //! reporting, by device class, and the part of the area out of reach. `reveille scenario` prints it, and
-//! `study/src/misses/advice.rs` advises with it; no run depends on it.
+//! `study/src/misses/advice.rs` advises with it; no run depends on it. Tests expect the texts of
+//! [`EnergyBalance::warnings`].
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -48,8 +49,8 @@ pub struct ClassBalance {
     pub report_cost: f64,
     /// Battery capacity E_max, units.
     pub capacity: f64,
-    /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones; `None`
-    /// if energy can arrive in any TTI.
+    /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones;
+    /// `None` if energy can arrive in any TTI.
     pub longest_gap: Option<HarvestGap>,
 }
 
@@ -65,8 +66,9 @@ pub struct HarvestRange {
 }
 
 impl HarvestRange {
-    /// The range over devices: pairs of a device's harvest and the number of such devices, at least one.
-    fn new(harvests: &[(f64, u64)]) -> Self {
+    /// The range over groups of devices: pairs of the harvest of each device and the number of devices. There is at
+    /// least one device.
+    fn of_groups(harvests: &[(f64, u64)]) -> Self {
         let devices: u64 = harvests.iter().map(|(_, devices)| devices).sum();
         let sum: f64 = harvests
             .iter()
@@ -85,10 +87,13 @@ impl HarvestRange {
 
 impl EnergyBalance {
     /// Computes the balance of `scenario`, with the devices as its seed places them.
+    ///
+    /// # Panics
+    /// If [`Deployment::new`] panics.
     pub fn new<P>(scenario: &Scenario<P>) -> Self {
         let deployment = Deployment::new(scenario);
         let ttis = scenario.run.ttis;
-        // Devices of a class differ only in the trace that they read.
+        // Devices of a class differ only in the trace that they read: a group is a class and a trace.
         let mut groups: BTreeMap<(u16, u32), (HarvestSetup, u64)> = BTreeMap::new();
         for (device, &class) in deployment.devices.iter().zip(&deployment.classes) {
             let trace = match device.harvest {
@@ -103,13 +108,13 @@ impl EnergyBalance {
                 .map(|(_, (setup, devices))| (setup.mean_over_run(&deployment.traces, ttis), *devices))
                 .collect();
             let energy = class.energy;
-            let false_wake_ups = scenario.radio.false_wake_up * energy.e_idle.units();
+            let false_wake_up_cost = scenario.radio.false_wake_up * energy.e_idle.units();
             (!harvests.is_empty()).then(|| ClassBalance {
                 name: class.name.clone(),
                 devices: harvests.iter().map(|(_, devices)| devices).sum(),
-                harvest: HarvestRange::new(&harvests),
+                harvest: HarvestRange::of_groups(&harvests),
                 sensing_cost: energy.e_idle.units(),
-                sleeping_cost: energy.e_wur.units() + false_wake_ups,
+                sleeping_cost: energy.e_wur.units() + false_wake_up_cost,
                 report_cost: energy.e_tx.units(),
                 capacity: energy.e_max.units(),
                 longest_gap: groups
@@ -142,7 +147,7 @@ impl EnergyBalance {
             .iter()
             .map(|class| (class.harvest.mean, class.devices))
             .collect();
-        let range = HarvestRange::new(&means);
+        let range = HarvestRange::of_groups(&means);
         HarvestRange {
             min: self
                 .classes
@@ -183,12 +188,12 @@ impl EnergyBalance {
 impl ClassBalance {
     /// The mean harvest divided by the cost of always sensing; `None` if sensing costs nothing.
     pub fn sensing_ratio(&self) -> Option<f64> {
-        ratio(self.harvest.mean, self.sensing_cost)
+        ratio_to_cost(self.harvest.mean, self.sensing_cost)
     }
 
     /// The mean harvest divided by the cost of always sleeping; `None` if sleeping costs nothing.
     pub fn sleeping_ratio(&self) -> Option<f64> {
-        ratio(self.harvest.mean, self.sleeping_cost)
+        ratio_to_cost(self.harvest.mean, self.sleeping_cost)
     }
 
     /// The expected consumption of sleeping through [`Self::longest_gap`], in full batteries.
@@ -201,10 +206,10 @@ impl ClassBalance {
     /// unlimited.
     pub fn actions_per_battery(&self, cost: f64) -> Option<u64> {
         // A quotient that rounding leaves just below a whole number counts as that number.
-        ratio(self.capacity, cost).map(|actions| (actions * (1.0 + 1e-12)).floor() as u64)
+        ratio_to_cost(self.capacity, cost).map(|actions| (actions * (1.0 + 1e-12)).floor() as u64)
     }
 
-    /// A warning about the harvest in a run of `ttis` TTIs.
+    /// A warning about the harvest in a run of `ttis` TTIs, without the name of the class.
     fn warning(&self, ttis: u64) -> Option<String> {
         let mean = self.harvest.mean;
         if mean == 0.0 {
@@ -225,7 +230,7 @@ impl ClassBalance {
         } else {
             ("sleeping", self.sleeping_cost)
         };
-        let ratio = ratio(mean, consumption);
+        let ratio = ratio_to_cost(mean, consumption);
         if ratio.is_some_and(|ratio| ratio < AMPLE_RATIO) {
             return None;
         }
@@ -241,7 +246,7 @@ impl ClassBalance {
 }
 
 /// Returns `amount / cost`; `None` without a cost.
-fn ratio(amount: f64, cost: f64) -> Option<f64> {
+fn ratio_to_cost(amount: f64, cost: f64) -> Option<f64> {
     (cost > 0.0).then(|| amount / cost)
 }
 
