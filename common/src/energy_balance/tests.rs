@@ -189,7 +189,7 @@ fn costs_and_counts_have_their_closed_forms() {
 fn the_duration_of_a_tti_and_the_share_out_of_reach_follow_from_the_scenario() {
     assert_eq!(balance_with(&["harvest.kind=diurnal"]).tti_seconds, [300.0]);
     assert!(balance_with(&[]).share_out_of_reach <= 0.0);
-    // A disc of radius d_max = 4 m covers at most an eighth of the area of 20 m by 20 m.
+    // A disc of radius d_max = 4 m covers at most 13 % of the area of 20 m by 20 m.
     assert!(balance_with(&["devices=1"]).share_out_of_reach > 0.8);
 }
 
