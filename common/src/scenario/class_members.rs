@@ -2,7 +2,7 @@
 //! of the fields are part of scenario files and of the scenario hash, their help texts of `docs/scenario.md`.
 //! `classes.rs` checks the name and the sum of shares, `validate.rs` the lists.
 
-use crate::declare::{ABOVE_ZERO, FieldReader, NOT_NEGATIVE, ScenarioError, number, text, wholes};
+use crate::declare::{FieldReader, NOT_NEGATIVE, SHARE_ABOVE_ZERO, ScenarioError, number, text, wholes};
 use crate::geometry::{Area, Point};
 use crate::ids::MAX_DEVICES;
 
@@ -14,7 +14,7 @@ crate::declare! {
         pub(super) name: Option<String> = text(),
         /// Share of the N devices, except those that a class selects by `devices` or by zone; all shares add up to 1.
         /// Not needed if `layout.file` has a column `class`, which then assigns the classes.
-        pub(super) share: Option<f64> = number(ABOVE_ZERO, 1.0).required(),
+        pub(super) share: Option<f64> = number(SHARE_ABOVE_ZERO, 1.0).required(),
         /// Numbers of the class's devices, from 0, instead of a share.
         pub(super) devices: Option<Vec<u32>> = wholes(0, MAX_DEVICES - 1, MAX_DEVICES as usize, &[]).required(),
         /// Western edge of the class's zone, from `west` to `east` and `south` to `north`, instead of a share. The zone

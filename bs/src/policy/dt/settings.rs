@@ -8,7 +8,7 @@ use std::sync::Arc;
 use reveille_common::declare;
 use reveille_common::declare::{
     Alternative, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, PROBABILITY, ScenarioError, Section, Visit, number,
-    source, whole,
+    whole, word_or_file,
 };
 use reveille_common::scenario::Site;
 
@@ -35,7 +35,7 @@ declare! {
     #[derive(Clone, Debug)]
     struct Fields in "policy.dt" {
         /// Source of the model; a file must be written by `reveille train dt`.
-        model: Option<String> = source(MODELS, "shipped").source("Sec. V-C"),
+        model: Option<String> = word_or_file(MODELS, "shipped").source("Sec. V-C"),
         /// Price θ of a TTI in S1, in reaches, as under `age-index`: the energy target. With 0, every place in reach is
         /// covered in every TTI. It has no effect if a target return is set.
         price: f64 = number(NOT_NEGATIVE, 0.35),
@@ -166,7 +166,7 @@ impl DtSettings {
             }
             file => {
                 let field = "policy.dt.model";
-                let path = reader.file(field, file)?;
+                let path = reader.absolute_path(field, file)?;
                 let refuse = |why: String| reader.file_error(field, path.clone(), why);
                 let bytes = reader
                     .files()

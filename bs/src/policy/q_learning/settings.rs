@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use reveille_common::declare;
 use reveille_common::declare::{
-    ABOVE_ZERO, Alternative, BELOW_ONE, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, Range, ScenarioError,
-    Section, Visit, number, source, switch, whole,
+    Alternative, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, Range, SHARE_ABOVE_ZERO, SHARE_BELOW_ONE,
+    ScenarioError, Section, Visit, number, switch, whole, word_or_file,
 };
 use reveille_common::scenario::Site;
 
@@ -39,7 +39,7 @@ declare! {
     #[derive(Clone, Debug)]
     struct Fields in "policy.q-learning" {
         /// Source of the tables; a file must be written by `reveille train`.
-        table: Option<String> = source(TABLES, "shipped"),
+        table: Option<String> = word_or_file(TABLES, "shipped"),
         /// Weight μ1 of misdetections in the reward. Unless the policy learns, it is the weight of the tables.
         mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT_WEIGHTS.mu1)
             .derived("value of the tables, or 14 (1 with `ages`)")
@@ -62,13 +62,13 @@ declare! {
         /// Whether the policy continues to learn in the run.
         learn: bool = switch(false),
         /// Probability of a random decision in the first TTI, while the policy learns.
-        epsilon: f64 = number(BELOW_ONE, 0.02).source("Sec. V-B"),
+        epsilon: f64 = number(SHARE_BELOW_ONE, 0.02).source("Sec. V-B"),
         /// Probability of a random decision in the last TTI. It changes linearly in between.
-        epsilon_last: f64 = number(BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
+        epsilon_last: f64 = number(SHARE_BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
         /// Exponent ω of the learning rate max((n + 4)^−ω, `rate_floor`) at the n-th visit of a value.
-        rate_decay: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_decay),
+        rate_decay: f64 = number(SHARE_ABOVE_ZERO, Schedule::DEFAULT.rate_decay),
         /// Minimum learning rate.
-        rate_floor: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_floor),
+        rate_floor: f64 = number(SHARE_ABOVE_ZERO, Schedule::DEFAULT.rate_floor),
         /// Factor of the initial values. With 1, an action starts at its largest immediate reward.
         optimism: f64 = number(NOT_NEGATIVE, Schedule::DEFAULT.optimism),
     }
@@ -324,7 +324,7 @@ fn load_tables(
         ),
         "nothing" => (TableSource::Nothing, None),
         file => {
-            let path = reader.file(field, file)?;
+            let path = reader.absolute_path(field, file)?;
             match LearnedTables::read(reader.files(), &path) {
                 Ok(tables) if tables.is_unfinished() => {
                     let why = "is the checkpoint of an unfinished training; repeat its command to finish it";

@@ -69,7 +69,7 @@ fn the_fuzz_dictionary_contains_exactly_the_declared_words() {
         .flat_map(|section| section.fields)
     {
         words.insert(field.name);
-        if let FieldType::Choice(alternatives) | FieldType::Source(alternatives) = field.field_type {
+        if let FieldType::Choice(alternatives) | FieldType::WordOrFile(alternatives) = field.field_type {
             words.extend(alternatives.iter().map(|alternative| alternative.name));
         }
     }

@@ -143,7 +143,7 @@ impl HarvestTrace {
                 return Err(reader.missing_value("harvest.trace.column (or harvest.trace.columns)", required_by));
             }
         };
-        let file = reader.file(field_path, &file)?;
+        let file = reader.absolute_path(field_path, &file)?;
         let names = match &columns {
             TraceColumns::Shared(name) => std::slice::from_ref(name),
             TraceColumns::PerDevice(names) => names,
@@ -277,7 +277,7 @@ fn start_at_row(
     }
     match end {
         TraceEnd::Cycle => numbers.rotate_rows(start),
-        TraceEnd::Stop => numbers.remove_rows_before(start),
+        TraceEnd::Stop => numbers.remove_first_rows(start),
     }
     Ok(numbers)
 }
