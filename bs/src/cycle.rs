@@ -415,6 +415,7 @@ impl Cycle {
         let FinalScore {
             digest,
             metrics,
+            start_probability,
             totals,
             devices,
         } = self.score.finish(alpha, self.next_tti, ledgers);
@@ -423,6 +424,7 @@ impl Cycle {
             learned: self.station.policy().learned_state(),
             digest,
             metrics,
+            start_probability,
             totals,
             devices,
             ttis_done: self.next_tti.0,
@@ -499,6 +501,8 @@ pub struct RunOutcome {
     pub digest: Digest,
     /// The metrics of its measured part.
     pub metrics: Metrics,
+    /// The α of `info_p1`: the mean probability that an event starts, over the measured TTIs.
+    pub start_probability: f64,
     /// The exact totals behind them.
     pub totals: Totals,
     /// Records of all devices, in the order of ids.

@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::scenario::Scenario;
-use reveille_common::ids::Tti;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{ClassRecord, DIGEST_VERSION, Digest, EventActivity, Metrics};
 use reveille_common::totals::Totals;
@@ -165,11 +164,7 @@ impl<'a> Summary<'a> {
             preset: &scenario.run.preset,
             policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
-            start_probability: scenario.events.mean_start_probability(
-                scenario.run.seed,
-                scenario.warm_up_end(),
-                Tti(outcome.ttis_done),
-            ),
+            start_probability: outcome.start_probability,
             metrics: outcome.metrics,
             totals: outcome.totals,
             classes: ClassSummary::all(scenario, outcome),

@@ -88,6 +88,8 @@ pub struct FinalScore {
     pub digest: Digest,
     /// The metrics of the measured TTIs.
     pub metrics: Metrics,
+    /// The α of `info_p1`: the mean probability that an event starts, over the measured TTIs.
+    pub start_probability: f64,
     /// The exact totals from which the metrics follow.
     pub totals: Totals,
     /// The results of each device, in the order of ids.
@@ -342,13 +344,15 @@ impl Score {
     /// ids.
     pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> FinalScore {
         let totals = self.totals(end, ledgers);
-        let metrics = Metrics::from_totals(self.mean_event_rate(alpha, end), &totals);
+        let start_probability = self.mean_event_rate(alpha, end);
+        let metrics = Metrics::from_totals(start_probability, &totals);
         for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
             device.ledger = *ledger;
         }
         FinalScore {
             digest: self.digest.finish(ledgers, &totals),
             metrics,
+            start_probability,
             totals,
             devices: self.devices,
         }
