@@ -142,15 +142,19 @@ impl Cycle {
         self.world.detectors()
     }
 
-    /// Whether the policy needs the true batteries before it decides for TTI `k`.
-    pub(crate) fn needs_batteries(&self, k: Tti) -> bool {
-        self.station.needs_batteries(k)
+    /// Whether the policy decides for TTI `k` and needs the true batteries for it.
+    pub(crate) fn needs_true_batteries_for(&self, k: Tti) -> bool {
+        self.station.needs_true_batteries_for(k)
     }
 
-    /// Sets the batteries that the policy sees to `levels`, one per device in the order of ids, as at the end of the
-    /// last TTI. Call it when no TTI is open.
-    pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
-        self.station.set_batteries(levels);
+    /// Reveals the true battery `levels` at the end of the last TTI to the policy, one per device in the order of ids.
+    /// Call it when [`Self::needs_true_batteries_for`] holds for the next TTI and no TTI is open.
+    pub(crate) fn set_true_batteries(
+        &mut self,
+        levels: impl IntoIterator<Item = Energy>,
+        observer: &mut impl Observer,
+    ) {
+        self.station.set_true_batteries(levels);
         observer.batteries_revealed(self.next_tti, self.station.batteries());
     }
 

@@ -134,7 +134,7 @@ struct CertainStaleness {
 impl CertainStaleness {
     fn new(area: Area, positions: &[Point], d_max: f64) -> Self {
         let cells = Cells::new(area, d_max);
-        let [rows, columns] = cells.shape();
+        let [rows, columns] = cells.rows_and_columns();
         let (stride, height) = (columns.max(DISC_SIDE), rows.max(DISC_SIDE));
         let disc = |&p: &Point| {
             let spans = cells.within(p, d_max);
