@@ -1,6 +1,6 @@
 //! Cells of the area, with a margin of unused cells, so that the square around any disc can be read without bounds
-//! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]; `CertainStaleness` uses a margin only if
-//! the area is smaller than a square.
+//! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]. `CertainStaleness` uses a margin only
+//! in areas smaller than a square.
 //!
 //! Gains depend on the cells, therefore digests and learned tables do too. docs/age-index.md states the cells;
 //! `tests/src/reference/age_index.rs` and a test of `q-learning` compute them too.

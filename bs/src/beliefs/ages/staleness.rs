@@ -1,5 +1,6 @@
 //! Ages for devices that only record looks, without choosing devices ahead or removing them. The history of external
-//! policies (`policy/external/history.rs`) reads them as features, so values must be bit-equal to the ages in [`Ages`].
+//! policies (`policy/external/history.rs`) reads their worths as features, so these must be bit-equal to the gains in
+//! [`Ages`], as a test below checks.
 //!
 //! An environment keeps these ages for each of its runs and reads all devices in each step. So they are small: three
 //! bytes per cell and 36 per device.
@@ -70,7 +71,7 @@ impl Staleness {
     /// Returns the worth of a look of the `j`-th device, ≥ 1, relative to its worth right after a look. A device
     /// without cells has worth 1.
     #[inline]
-    pub(crate) fn staleness(&self, j: usize) -> f64 {
+    pub(crate) fn device_staleness(&self, j: usize) -> f64 {
         let fresh = self.fresh_worths[j];
         if fresh > 0.0 { self.worth(j) / fresh } else { 1.0 }
     }
@@ -266,7 +267,7 @@ mod tests {
                             1.0
                         };
                         assert_eq!(
-                            staleness.staleness(j).to_bits(),
+                            staleness.device_staleness(j).to_bits(),
                             expected.to_bits(),
                             "{kind:?}, loss {loss_probability}, {width} m wide, device {j}"
                         );

@@ -175,7 +175,7 @@ impl ReportHistory {
     /// It is the mean of a(a + 1)/2 over the ages a of the places ([`ages`](crate::beliefs::ages)).
     #[inline]
     pub(crate) fn staleness(&self, device: usize) -> f64 {
-        self.staleness.staleness(device)
+        self.staleness.device_staleness(device)
     }
 
     /// Returns the same ratio for the whole area.
