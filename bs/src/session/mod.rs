@@ -139,6 +139,9 @@ pub struct Session {
 
 impl Session {
     /// Creates the run `prepared`, before TTI 0, with windows of `window` TTIs; [`u64::MAX`] for none.
+    ///
+    /// # Panics
+    /// If `window` is 0, or the policy needs pilot runs and `prepared` has no choice.
     pub fn new(prepared: &PreparedRun, window: u64) -> Self {
         Self::with_cycle(prepared, Cycle::new(prepared), window)
     }
@@ -457,7 +460,7 @@ impl Session {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
-            until: grant.until,
+            until: grant.event_last_tti,
             wants_totals: self.late_totals.is_some(),
             // A policy that decides for the next TTI by true batteries reads them from these views.
             wants_views: self.wants_states || self.cycle.needs_true_batteries_for(grant.last + 1),
