@@ -141,7 +141,7 @@ impl Session {
     /// Creates the run `prepared`, before TTI 0, with windows of `window_ttis` TTIs; [`u64::MAX`] for none.
     ///
     /// # Panics
-    /// If `window_ttis` is 0.
+    /// If `window_ttis` is 0, or the policy needs pilot runs and `prepared` has no choice.
     pub fn new(prepared: &PreparedRun, window_ttis: u64) -> Self {
         Self::with_cycle(prepared, Cycle::new(prepared), window_ttis)
     }
@@ -438,9 +438,9 @@ impl Session {
     }
 
     fn update_batteries(&mut self, observer: &mut impl Observer) {
-        if self.cycle.needs_batteries(self.next_tti()) {
+        if self.cycle.needs_true_batteries_for(self.next_tti()) {
             let batteries = self.views.iter().map(|view| view.battery);
-            self.cycle.set_batteries(batteries, observer);
+            self.cycle.set_true_batteries(batteries, observer);
         }
     }
 
@@ -467,7 +467,7 @@ impl Session {
             stimulus_last: grant.until,
             wants_totals: self.late_totals.is_some(),
             // A policy that decides for the next TTI by true batteries reads them from these views.
-            wants_views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
+            wants_views: self.wants_states || self.cycle.needs_true_batteries_for(grant.last + 1),
             plan_from: self.plan_from.unwrap_or_default(),
             plan_count: updates.len() as u32,
             change_count: changes.len() as u32,

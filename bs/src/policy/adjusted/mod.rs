@@ -3,7 +3,8 @@
 //! correlated first, until Î ≥ I_min.
 //!
 //! `lab/src/preparation.rs` makes the pilot runs of the search, since they need devices; [`search`] judges them.
-//! Digests depend on the drawn order; names of facts are part of `summary.json`.
+//! Digests depend on the drawn order; names of facts are part of `summary.json`. The field `about` of `ADJUSTED` is a
+//! line of docs/scenario.md, which a test compares, and of the help.
 
 pub mod search;
 pub mod settings;

@@ -30,7 +30,7 @@ use super::SensingCount;
 use super::factory::{PolicyEntry, PolicyFactory};
 use super::interface::Policy;
 use crate::beliefs::ages;
-use crate::beliefs::ages::price::{Prices, min_level};
+use crate::beliefs::ages::price::{Prices, min_sensing_level};
 use crate::beliefs::ages::selector::DeviceSelector;
 use crate::beliefs::candidates::{MIN_GAIN_SHARE, WakeUpCandidates};
 use crate::beliefs::posterior::EpicentreBelief;
@@ -60,7 +60,7 @@ impl Dt {
     /// Creates the policy for the devices in `known`.
     pub fn new(known: &Knowledge, settings: &DtSettings) -> Self {
         let positions = known.positions();
-        let token_builder = TokenBuilder::new(known, |j| min_level(&known.devices[j].energy));
+        let token_builder = TokenBuilder::new(known, |j| min_sensing_level(&known.devices[j].energy));
         // Worth at age 1 of the area that one device alone covers, as in `AgeIndex`: the unit of θ.
         let worth_of_reach = ages::effective_area(&known.sensing) / token_builder.ages().cell_surface();
         // With a target the model names the price in each TTI, as a factor of this one.

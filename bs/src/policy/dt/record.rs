@@ -12,7 +12,7 @@ use reveille_common::scenario::WakeUpRanking;
 
 use super::tokens::TokenBuilder;
 use crate::battery_estimator::BatteryEstimator;
-use crate::beliefs::ages::price::min_level;
+use crate::beliefs::ages::price::min_sensing_level;
 use crate::beliefs::candidates::WakeUpCandidates;
 use crate::beliefs::coverage::CoverageUnion;
 use crate::beliefs::posterior::EpicentreBelief;
@@ -149,7 +149,7 @@ impl<S: StepSink> RecordingPolicy<S> {
         Self {
             policy,
             battery_source,
-            token_builder: TokenBuilder::new(known, |j| min_level(&known.devices[j].energy)),
+            token_builder: TokenBuilder::new(known, |j| min_sensing_level(&known.devices[j].energy)),
             coverage: reward::coverage_union(known),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
             exploration: options.exploration,
@@ -170,7 +170,7 @@ impl<S: StepSink> RecordingPolicy<S> {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, j as u64)
         };
-        let can_explore = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
+        let can_explore = |j: usize| seen.batteries[j] >= min_sensing_level(&known.devices[j].energy);
         (0..known.n())
             // An exploring device does the opposite of the plan; one without energy for a report does not explore.
             .map(|j| is_on(j) ^ (self.exploration > 0.0 && can_explore(j) && draw(j) < self.exploration))

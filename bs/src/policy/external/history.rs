@@ -176,7 +176,7 @@ impl ReportHistory {
     /// It is the mean of a(a + 1)/2 over the ages a of the places ([`ages`](crate::beliefs::ages)).
     #[inline]
     pub(crate) fn staleness(&self, device: usize) -> f64 {
-        self.place_ages.staleness(device)
+        self.place_ages.device_staleness(device)
     }
 
     /// Returns the same ratio for the whole area.
