@@ -9,7 +9,7 @@ use proptest::test_runner::{Config, TestRunner};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::score::{EventActivity, Metrics};
-use reveille_common::totals::{DeviceTotals, RadioLosses, Totals};
+use reveille_common::totals::{DeviceTotals, Ledger, RadioLosses, Totals};
 use reveille_lab::run::RunOptions;
 use reveille_tests::reference::ReferenceRun;
 use reveille_tests::{compare, reference, scenarios};

@@ -464,7 +464,7 @@ impl Session {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
-            stimulus_last: grant.until,
+            stimulus_last: grant.event_last_tti,
             wants_totals: self.late_totals.is_some(),
             // A policy that decides for the next TTI by true batteries reads them from these views.
             wants_views: self.wants_states || self.cycle.needs_true_batteries_for(grant.last + 1),
