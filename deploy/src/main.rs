@@ -69,7 +69,7 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
-    let log = cli.log_options();
+    let log_options = cli.log_options();
     match cli.command {
         Command::Scenario(command) => commands::scenario::run(&command),
         Command::Run(args) => commands::run::run(&args),
@@ -77,7 +77,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Train(command) => commands::train::run(&command),
         Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
-        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log)),
+        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log_options)),
         Command::Bs(args) => drive(SERVER_WORKERS, commands::bs::run(&args)),
         Command::Device(args) => {
             // Before any runtime or session: it replaces this process by one with another environment.

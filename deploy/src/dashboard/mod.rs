@@ -2,8 +2,8 @@
 //!
 //! It is a single page that loads nothing from other sites (`page/`), an HTTP interface (`api`), and a copy of the run
 //! (`feed`). The page itself needs no token. On a loopback address reading the run needs none either. Changes need one,
-//! and so does every request under `/api/` if other machines can connect (`api::check_request`). `page/*.js` and
-//! `tests/browser/check.py` use the routes.
+//! and so does every request under `/api/` if other machines can connect (`api::check_request`). `page/*.js`,
+//! `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use the routes.
 
 mod api;
 mod commands;
@@ -39,8 +39,8 @@ pub(crate) struct Dashboard {
     pub url: String,
 }
 
-/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run
-/// and act on its devices.
+/// Serves `feed` at `address` until the program ends. With a `bus` that has the run's key, the page can control the
+/// clock of that run and act on its devices.
 ///
 /// # Errors
 /// If it cannot listen there.
@@ -52,8 +52,8 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{local_address}/#{token}");
     let state = ApiState::new(feed, bus, token, local_address);
-    // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows the
-    // run belongs under `/api/`, and one that changes it is a POST.
+    // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows
+    // the run belongs under `/api/`, and one that changes it is a POST.
     let mut router = Router::new()
         .route("/api/run", get(api::about))
         .route("/api/now", get(api::now))
