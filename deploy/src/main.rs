@@ -53,10 +53,10 @@ use runtime::{CLIENT_WORKERS, SERVER_WORKERS, drive};
 
 fn main() -> ExitCode {
     exit::keep_panic_messages();
-    let (args, renamed) = cli::former::replace_former_names(std::env::args_os());
+    let (args, rename_warnings) = cli::former::replace_former_names(std::env::args_os());
     let cli = Cli::try_parse_from(&args).unwrap_or_else(|error| explain_misplaced(error, Cli::command(), &args).exit());
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
-    for warning in renamed {
+    for warning in rename_warnings {
         tracing::warn!("{warning}");
     }
     match run(cli) {

@@ -18,7 +18,7 @@ use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
 use crate::exit::ExitReason;
-use crate::policy_source::policy_source;
+use crate::policy_source::select_policy_source;
 use crate::run_folder::RunFolder;
 use crate::signals::{SignalMode, Signals};
 use crate::summary::Timing;
@@ -45,7 +45,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
