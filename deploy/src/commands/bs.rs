@@ -427,7 +427,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
         );
     }
     // Read once, so that every observer gets the same files even if they change later.
-    let description = ScenarioDescription::from(recording::bundle(scenario)?);
+    let description = ScenarioDescription::from(recording::bundle_scenario(scenario)?);
     let log = folder.join(INPUT_LOG_FILE);
     let described = [
         bus.serve(move |_: DescribeRequest| description.clone())?,
