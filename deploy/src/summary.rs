@@ -1,7 +1,7 @@
 //! `summary.json`: the results of a run, also printed by `--json` and as a table (`results_table`).
 //!
 //! The field names are a file format (`docs/results.md`): raise [`SUMMARY_VERSION`] if one changes its meaning.
-//! `compare`, `inspect verify`, `run_reader` and `bench` read fields by name.
+//! `compare`, `inspect verify`, `run_folder`, `run_reader`, `bench`, `tests/` and `python/` read fields by name.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ const SUMMARY_VERSION: u32 = 4;
 pub(crate) struct Summary<'a> {
     /// The run's digest.
     pub digest: Digest,
-    /// Whether the run was `complete` or `interrupted`.
+    /// Whether the run was `complete` or `interrupted`. `commands`, `results_table` and `run_folder` repeat `complete`.
     pub status: &'static str,
     /// The policy's name.
     pub policy: &'static str,
@@ -50,7 +50,7 @@ pub(crate) struct Summary<'a> {
     /// The audited part of a run over the bus: `complete`, `partial: TTI …` (the TTIs before it), or `off`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<String>,
-    /// Durations; the only part that differs between two runs of a scenario.
+    /// Durations and counters of the execution. They differ between two equal runs of a scenario, and so can `audit`.
     pub timing: Timing,
     /// Versions of the program and the formats.
     pub versions: Versions,
@@ -123,11 +123,11 @@ pub(crate) struct Timing {
     pub unexpected_messages: u64,
     /// Decisions of a policy process, under `external`.
     pub decisions: u64,
-    /// Its answers that were invalid or came after the valid one.
+    /// Answers of the policy process that were invalid or came after the valid one.
     pub decisions_refused: u64,
     /// Decision requests without an answer in time: the plan stayed the same, or no device was woken.
     pub decisions_held: u64,
-    /// Takeovers of a lost device process.
+    /// Lost device processes whose devices were taken over.
     pub losses: usize,
     /// The longest takeover, seconds.
     pub longest_loss_s: f64,

@@ -34,7 +34,7 @@ use crate::display::{RunProgressBar, note};
 use crate::exit::Interrupted;
 use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::policy_process::PolicyProcess;
-use crate::policy_source::{PolicySource, policy_source};
+use crate::policy_source::{PolicySource, select_policy_source};
 use crate::resume_mark::ResumeMarkWriter;
 use crate::run_folder::RunFolder;
 use crate::run_watchers::RunWatchers;
@@ -56,7 +56,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
@@ -437,7 +437,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
         );
     }
     // Read once, so that every observer gets the same files even if they change later.
-    let description = ScenarioDescription::from(recording::bundle(scenario)?);
+    let description = ScenarioDescription::from(recording::bundle_scenario(scenario)?);
     let log = folder.join(INPUT_LOG_FILE);
     let described = [
         bus.serve(move |_: DescribeRequest| description.clone())?,

@@ -1,5 +1,6 @@
 //! Tests of [`GrantFollower`]: it executes each grant once, with all its plans, despite lost and repeated messages. The
-//! devices and the bus are not part of these tests.
+//! devices, the bus and plans lost by the modelled radio are not part of these tests, and all hosts start at TTI 0.
+//! Only one test has changes by operators. Distances and TTIs are arbitrary.
 
 use std::ops::RangeInclusive;
 
@@ -287,7 +288,7 @@ fn grants_and_plans_beyond_the_end_are_refused() {
     assert_eq!(follower.next(), END);
 }
 
-/// Messages are lost, repeated and reordered.
+/// Plans and grants are lost, repeated and reordered.
 #[test]
 fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
     for seed in 0..50 {
