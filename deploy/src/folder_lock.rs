@@ -5,7 +5,7 @@
 //! `run_folder` takes the lock, also for `--resume`; `run_reader`, `inspect` and `train record` read its status.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -232,5 +232,20 @@ mod tests {
             .expect("free")
             .release()
             .expect("removable");
+    }
+
+    #[test]
+    fn each_kill_of_a_resumed_run_is_recognised() {
+        let folder = LockTestFolder::new("twice");
+        for kills in 0..3 {
+            let mut lock = FolderLock::acquire(&folder.0).expect("free");
+            assert_eq!(lock.was_killed(), kills > 0, "after {kills} kills");
+            lock.mark_running().expect("writable");
+            let mark = fs::read_to_string(folder.0.join(RUNNING_FILE)).expect("there");
+            assert_eq!(mark, format!("pid {}\n", std::process::id()), "after {kills} kills");
+            // A killed process leaves its mark, and the kernel drops the lock.
+            drop(lock);
+            assert_eq!(status(&folder.0), FolderStatus::Killed);
+        }
     }
 }
