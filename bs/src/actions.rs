@@ -1,5 +1,6 @@
-//! Checks of the changes that operators ask for, before a run accepts them: over the bus, in an input log, or in a file
-//! of timed actions. Tests quote parts of the errors.
+//! Checks of the changes that operators ask for, before a run accepts them: over the bus (`server/actions.rs`), in an
+//! input log (`lab/src/external_inputs/`), or in a file of timed actions (`lab/src/action_script/`). The callers put
+//! file and line before an error. Tests and docs/actions.md quote the errors.
 
 use reveille_common::message::{Change, Setting};
 use reveille_common::units::{Energy, MAX_UNITS};
@@ -32,7 +33,8 @@ pub fn check_change(change: &Change, scenario: &Scenario) -> Result<(), String> 
     }
 }
 
-/// Checks the value of `setting`. Only `age-index` implements `Policy::set_price`; others would ignore the price.
+/// Checks the value of `setting`. Only `age-index` implements `Policy::set_price`; others would ignore the price. The
+/// ranges repeat the declarations of `events.alpha` and `policy.age-index.price`.
 fn check_setting(setting: Setting, value: f64, scenario: &Scenario) -> Result<(), String> {
     let field = setting.field();
     match setting {

@@ -2,7 +2,9 @@
 //!
 //! [`Cycle`](crate::cycle::Cycle) calls it in the order of a TTI. It receives reports or their absence, never the
 //! ground truth; only a genie receives events, through [`BaseStation::plan_and_oracle`]. Policies keep state from call
-//! to call, so the order of the calls of a policy must stay the same.
+//! to call, so digests depend on the order of these calls: [`BaseStation::begin_tti`] and
+//! [`BaseStation::take_reports`], each wake-up with its answer, then [`BaseStation::close_tti`]. Quiet TTIs under one
+//! plan need only the first two, for the first and for the last of them.
 
 use std::any::Any;
 
@@ -206,13 +208,13 @@ impl BaseStation {
         (&view.plan, has_oracle.then(|| policy.oracle()).flatten())
     }
 
-    /// Whether the policy needs the true batteries before it decides for TTI `k`.
-    pub(crate) fn needs_batteries(&self, k: Tti) -> bool {
+    /// Whether the policy decides for TTI `k` and needs the true batteries for it.
+    pub(crate) fn needs_true_batteries_for(&self, k: Tti) -> bool {
         // The initial levels are part of `Knowledge`, so TTI 0 needs no levels from the devices.
         k >= self.next_decision && k > Tti::ZERO && self.needs_true_batteries()
     }
 
-    /// Whether the policy ever needs the true batteries.
+    /// Whether the policy needs the true batteries for its decisions after TTI 0.
     pub(crate) fn needs_true_batteries(&self) -> bool {
         self.view
             .battery_estimator
@@ -229,8 +231,12 @@ impl BaseStation {
             .map_or(&[], BatteryEstimator::levels)
     }
 
-    /// Sets the true battery levels of all devices, in the order of ids, at the end of the last TTI.
-    pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
+    /// Sets the true battery levels of all devices, in the order of ids, at the end of the last TTI. Call it
+    /// only if [`Self::needs_true_batteries_for`] holds for the next TTI.
+    ///
+    /// # Panics
+    /// If `levels` has not one level per device.
+    pub(crate) fn set_true_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
         if let Some(estimator) = &mut self.view.battery_estimator {
             estimator.set_true_levels(levels);
         }
@@ -277,7 +283,8 @@ impl BaseStation {
         Tti((k.0 / sync + 1) * sync).min(self.next_decision)
     }
 
-    /// Takes in the reports of TTI `tti`, in the order of ids.
+    /// Takes in the reports of TTI `tti`, in the order of ids. After quiet TTIs, one call for the last of them is
+    /// enough.
     pub fn take_reports(&mut self, tti: Tti, reports: &[Report]) {
         let Self {
             view,

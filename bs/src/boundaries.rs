@@ -8,20 +8,25 @@ use reveille_common::scenario::Scenario;
 /// The boundaries of one run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Boundaries {
+    /// First TTI after the warm-up.
     warm_up_end: Tti,
+    /// The TTI before which the run ends.
     end: Tti,
-    /// Length of a window, TTIs.
-    window: u64,
+    /// Length of a window, TTIs; [`u64::MAX`] without windows.
+    window_ttis: u64,
 }
 
 impl Boundaries {
-    /// The boundaries of `scenario` with windows of `window` TTIs; [`u64::MAX`] for none.
-    pub(crate) fn new<P>(scenario: &Scenario<P>, window: u64) -> Self {
-        assert!(window > 0, "a window holds at least one TTI");
+    /// The boundaries of `scenario` with windows of `window_ttis` TTIs; [`u64::MAX`] for none.
+    ///
+    /// # Panics
+    /// If `window_ttis` is 0.
+    pub(crate) fn new<P>(scenario: &Scenario<P>, window_ttis: u64) -> Self {
+        assert!(window_ttis > 0, "a window holds at least one TTI");
         Self {
             warm_up_end: scenario.warm_up_end(),
             end: Tti(scenario.run.ttis),
-            window,
+            window_ttis,
         }
     }
 
@@ -30,10 +35,11 @@ impl Boundaries {
         self.end
     }
 
-    /// The first boundary after `k`, or the end.
+    /// The first boundary after `k`; the end of the run if none follows.
     pub(crate) fn next_boundary(&self, k: Tti) -> Tti {
-        // `window` is `u64::MAX` for a run without windows.
-        let window_end = (k.0 / self.window).saturating_add(1).saturating_mul(self.window);
+        let window_end = (k.0 / self.window_ttis)
+            .saturating_add(1)
+            .saturating_mul(self.window_ttis);
         let warm_up_end = if self.warm_up_end > k {
             self.warm_up_end.0
         } else {
@@ -52,7 +58,7 @@ mod tests {
         let boundaries = Boundaries {
             warm_up_end: Tti(25),
             end: Tti(95),
-            window: 20,
+            window_ttis: 20,
         };
         let mut found = vec![];
         let mut k = Tti::ZERO;
@@ -62,7 +68,7 @@ mod tests {
         }
         assert_eq!(found, [20, 25, 40, 60, 80, 95]);
         let without_windows = Boundaries {
-            window: u64::MAX,
+            window_ttis: u64::MAX,
             warm_up_end: Tti::ZERO,
             end: Tti(7),
         };

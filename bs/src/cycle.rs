@@ -90,18 +90,25 @@ pub struct Cycle {
 
 impl Cycle {
     /// Creates the cycle of a run, before TTI 0.
+    ///
+    /// # Panics
+    /// If the policy needs pilot runs and `prepared` has no choice.
     pub fn new(prepared: &PreparedRun) -> Self {
         Self::with_world(prepared, World::new(&prepared.scenario, &prepared.deployment))
     }
 
     /// Creates a cycle with a given world, such as one with scripted events.
+    ///
+    /// # Panics
+    /// If the policy needs pilot runs and `prepared` has no choice.
     pub fn with_world(prepared: &PreparedRun, world: World) -> Self {
         let known = prepared.knowledge();
         let policy = prepared.policy(&known);
         Self::with_station(prepared, world, BaseStation::new(known, policy))
     }
 
-    /// Creates a cycle with a given world and base station, such as one whose decisions are recorded.
+    /// Creates a cycle with a given world and base station, both before TTI 0, such as one whose decisions are
+    /// recorded.
     pub fn with_station(prepared: &PreparedRun, world: World, station: BaseStation) -> Self {
         Self {
             scenario: prepared.scenario.clone(),
@@ -142,15 +149,19 @@ impl Cycle {
         self.world.detectors()
     }
 
-    /// Whether the policy needs the true batteries before it decides for TTI `k`.
-    pub(crate) fn needs_batteries(&self, k: Tti) -> bool {
-        self.station.needs_batteries(k)
+    /// Whether the policy decides for TTI `k` and needs the true batteries for it.
+    pub(crate) fn needs_true_batteries_for(&self, k: Tti) -> bool {
+        self.station.needs_true_batteries_for(k)
     }
 
-    /// Sets the batteries that the policy sees to `levels`, one per device in the order of ids, as at the end of the
-    /// last TTI. Call it when no TTI is open.
-    pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
-        self.station.set_batteries(levels);
+    /// Reveals the true battery `levels` at the end of the last TTI to the policy, one per device in the order of ids.
+    /// Call it when [`Self::needs_true_batteries_for`] holds for the next TTI and no TTI is open.
+    pub(crate) fn set_true_batteries(
+        &mut self,
+        levels: impl IntoIterator<Item = Energy>,
+        observer: &mut impl Observer,
+    ) {
+        self.station.set_true_batteries(levels);
         observer.batteries_revealed(self.next_tti, self.station.batteries());
     }
 
@@ -178,6 +189,9 @@ impl Cycle {
 
     /// The context of the wake-ups that an external policy has to decide in TTI `tti`, after
     /// [`CycleStep::AskExternal`].
+    ///
+    /// # Panics
+    /// If a policy of this program decides.
     pub(crate) fn wake_up_context(&self, tti: Tti) -> DecisionContext<'_> {
         let context = self.station.decision_context(tti, DecisionStage::Wake);
         context.expect("an external policy has asked")
@@ -185,6 +199,9 @@ impl Cycle {
 
     /// Answers [`Self::wake_up_context`]: wake these devices in this order, then ask again; an empty list ends the
     /// wake-ups of the TTI. [`external`](crate::policy::external) lists the devices that are left out.
+    ///
+    /// # Panics
+    /// If a policy of this program decides.
     pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId], observer: &mut impl Observer) -> CycleStep {
         self.station.set_wake_ups(tti, devices);
         self.next_step(tti, observer)
@@ -311,7 +328,7 @@ impl Cycle {
             // No underflow: the caller's limit and the next plan are both after `first`.
             last: stimulated.unwrap_or(Tti(horizon.0 - 1)),
             stimulus: stimulated.and_then(|_| world.stimulus()),
-            until: world.event_last_tti(),
+            event_last_tti: world.event_last_tti(),
         }
     }
 
@@ -332,13 +349,13 @@ impl Cycle {
         // Answers arrive from the bus in any order. The digest, the score and the station need one order, by device.
         reports.sort_unstable_by_key(|report| report.device);
         failures.sort_unstable_by_key(|failure| failure.device);
-        let arrived = self.transmit_reports(tti, reports, observer);
+        let arrived_count = self.transmit_reports(tti, reports, observer);
         for failure in failures.iter() {
             self.score.record_failed_transmission(failure);
             observer.notify(&Notification::ReportFailed { tti, failure });
         }
         self.score.record_unpowered(unpowered);
-        self.station.take_reports(tti, &reports[..arrived]);
+        self.station.take_reports(tti, &reports[..arrived_count]);
         // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
         self.wake_up_count = 0;
         self.next_step(tti, observer)
@@ -348,21 +365,21 @@ impl Cycle {
     /// Returns their number.
     fn transmit_reports(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
         // The base station never sees a lost report, so the score and the observer must count it here.
-        let air = self.world.losses_at(tti);
-        let mut arrived = 0;
+        let losses = self.world.losses_at(tti);
+        let mut arrived_count = 0;
         for i in 0..reports.len() {
             let report = reports[i];
-            if air.loses_report(report.device) {
+            if losses.loses_report(report.device) {
                 self.score.record_lost_report(&report);
                 observer.notify(&Notification::ReportLost(&report));
             } else {
                 self.score.record_report(&report);
                 observer.notify(&Notification::ReportReceived(&report));
-                reports[arrived] = report;
-                arrived += 1;
+                reports[arrived_count] = report;
+                arrived_count += 1;
             }
         }
-        arrived
+        arrived_count
     }
 
     /// Removes devices in the last granted TTI. The station receives no notice, only silence.
@@ -415,6 +432,7 @@ impl Cycle {
         let FinalScore {
             digest,
             metrics,
+            start_probability,
             totals,
             devices,
         } = self.score.finish(alpha, self.next_tti, ledgers);
@@ -423,6 +441,7 @@ impl Cycle {
             learned: self.station.policy().learned_state(),
             digest,
             metrics,
+            start_probability,
             totals,
             devices,
             ttis_done: self.next_tti.0,
@@ -431,6 +450,9 @@ impl Cycle {
     }
 
     /// Returns the policy's next wake-up in `tti`, or closes the TTI.
+    ///
+    /// # Panics
+    /// If the policy names a device twice in a TTI, or a device that does not exist.
     fn next_step(&mut self, tti: Tti, observer: &mut impl Observer) -> CycleStep {
         if let Some(device) = self.station.next_wake_up(tti) {
             let number = self.wake_up_count;
@@ -489,6 +511,7 @@ pub struct GrantAnswers<'a> {
     /// Number of devices with δ = 1 that would have detected the event, but could not pay for sensing.
     pub unpowered: u64,
     /// States and batteries of all devices at the end of the grant, in the order of ids, if the grant asks for them.
+    /// The session keeps them for the policy and the observer; the cycle ignores them.
     pub views: &'a [DeviceView],
 }
 
@@ -499,6 +522,8 @@ pub struct RunOutcome {
     pub digest: Digest,
     /// The metrics of its measured part.
     pub metrics: Metrics,
+    /// The α of `info_p1`: the mean probability that an event starts, over the measured TTIs.
+    pub start_probability: f64,
     /// The exact totals behind them.
     pub totals: Totals,
     /// Records of all devices, in the order of ids.
@@ -531,7 +556,8 @@ pub struct PreparedRun {
 }
 
 impl PreparedRun {
-    /// Prepares `scenario` with its deployment, for a policy that needs no pilot runs.
+    /// Prepares `scenario` with its deployment, for a policy that needs no pilot runs; `lab/src/preparation.rs`
+    /// prepares any.
     pub fn without_pilots(scenario: &Scenario) -> Self {
         Self {
             deployment: Deployment::new(scenario),
@@ -552,6 +578,9 @@ impl PreparedRun {
     }
 
     /// The policy, for a base station with the knowledge `known`.
+    ///
+    /// # Panics
+    /// If the policy needs pilot runs and `pilot_choice` is `None`.
     pub fn policy(&self, known: &Knowledge) -> Box<dyn Policy> {
         let pilot_choice = self.pilot_choice.as_deref();
         pilot_choice

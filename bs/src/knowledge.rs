@@ -85,7 +85,7 @@ pub struct Knowledge {
     /// Long-run loss rates of the radio.
     pub radio: RadioLossRates,
     /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
-    /// changes with time.
+    /// changes with time. An operator who changes the rate during a run does not change it here.
     pub alpha: f64,
     /// Duration τ of a TTI in units of model time, > 0.
     pub tau: f64,

@@ -3,8 +3,9 @@
 //!
 //! Start with [`session`], which defines the order of a TTI. [`cycle`] carries out its steps on the world, the
 //! [`base_station`] and the score; an [`observer`] receives notifications. [`policy`] holds the policies, which see
-//! only [`knowledge`] and [`observation`], and [`beliefs`] the models that they share. `boundaries` limits grants to
-//! windows, and [`actions`] checks changes by operators.
+//! only [`knowledge`] and [`observation`]; `genie` alone also receives events. [`beliefs`] holds the models that they
+//! share, with [`bounds_cache`] for several runs, and [`battery_estimator`] the levels that they read. `boundaries`
+//! limits grants to windows, [`actions`] checks changes by operators, and [`scenario`] reads and describes scenarios.
 
 // A policy refers to this crate by the same name, in its folder here and in a separate crate.
 #[expect(unused_extern_crates, reason = "for policies that say `reveille_bs`")]

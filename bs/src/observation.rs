@@ -1,8 +1,11 @@
 //! The observation that a policy receives in a TTI, with [`Knowledge`] as its part from before the first TTI.
 //!
-//! The [`BaseStation`](crate::base_station::BaseStation) makes one for each call of the policy. A field must not give
-//! ground truth, except for `batteries`, which are the true levels under `bs.battery_knowledge = "oracle"`.
-//! `tests/tests/knowledge_wall.rs` checks that unobservable changes of a run change no decision.
+//! The [`BaseStation`](crate::base_station::BaseStation) makes one for each call of the policy; `policy/dt/record.rs`
+//! replaces its batteries while it records. docs/policy-interface.md lists the fields.
+//!
+//! A field must not give ground truth, except for `batteries`, which are the true levels under
+//! `bs.battery_knowledge = "oracle"`. `tests/tests/knowledge_wall.rs` checks that unobservable changes of a run change
+//! no decision.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
@@ -21,10 +24,11 @@ pub struct Observation<'a> {
     pub known: &'a Knowledge,
     /// δ as commanded.
     pub plan: &'a Plan,
-    /// Î, the information gathered about the event in this TTI (Algorithm 1).
+    /// Î, the information gathered about the event in this TTI (Algorithm 1); 0 when a plan is decided.
     pub information: f64,
-    /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` allows. Empty for a policy that does not
-    /// need them ([`crate::policy::interface::Policy::needs_batteries`]).
+    /// Batteries by device id, as far as `bs.battery_knowledge` allows: at the end of the last TTI when a plan is
+    /// decided. After the reports of a TTI, estimates already include that TTI. Empty for a policy that does not need
+    /// them ([`crate::policy::interface::Policy::needs_batteries`]).
     pub batteries: &'a [Energy],
     /// Estimator for [`Self::can_report`]; `None` for a policy that does not need it, and all devices then count as
     /// able to report.

@@ -1,5 +1,6 @@
 //! The wire format of all messages: one version byte, then bincode with variable-length integers. A change of a
-//! message, or of a type in it, raises [`WIRE_VERSION`].
+//! message, or of a type in it, raises [`WIRE_VERSION`]. Recordings and device checkpoints store the format. Byte
+//! metrics count the lengths from [`encoded_len`]; digests do not depend on the encoding.
 //!
 //! bincode is unmaintained upstream. Only this file names it, so that another encoding can replace it here.
 
@@ -10,7 +11,7 @@ use serde::de::DeserializeOwned;
 /// recordings with another version. `tests/untrusted_clients/bus.py` repeats the number.
 pub const WIRE_VERSION: u8 = 9;
 
-/// Maximum length of a decoded payload, in bytes.
+/// Maximum length of a payload that [`decode`] accepts, in bytes. [`encode`] does not check it.
 pub(crate) const MAX_PAYLOAD: usize = 64 << 20;
 
 const CONFIG: bincode::config::Configuration<
@@ -71,6 +72,9 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, CodecError> {
 }
 
 /// Returns the length of [`encode`]'s payload in bytes, without encoding it.
+///
+/// # Panics
+/// If [`encode`] panics.
 pub fn encoded_len<T: Serialize>(message: &T) -> u64 {
     // The version byte.
     let mut counter = ByteCounter(1);

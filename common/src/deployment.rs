@@ -11,7 +11,7 @@ use crate::message::{BusCredentials, DeviceSetup, HostSetup};
 use crate::scenario::{Scenario, assign_classes};
 use crate::units::Energy;
 
-/// The devices of a run. The same scenario and seed always give the same deployment.
+/// The devices of a run. The same scenario always leads to the same deployment; its seed draws positions and classes.
 #[derive(Clone, Debug)]
 pub struct Deployment {
     /// The devices, in the order of ids.
@@ -24,22 +24,26 @@ pub struct Deployment {
 
 impl Deployment {
     /// Deploys the devices of `scenario`.
+    ///
+    /// # Panics
+    /// If a device has no class, which loading a scenario rules out.
     pub fn new<P>(scenario: &Scenario<P>) -> Self {
         let (traces, first_traces) = collect_traces(scenario);
         let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        // The devices of each class so far.
-        let mut device_counts = vec![0u32; scenario.classes.len()];
+        // The number of devices of each class so far: the next device of a class reads the column of this number.
+        let mut devices_by_class = vec![0u32; scenario.classes.len()];
         let classes = assign_classes(scenario);
         let devices = positions
             .into_iter()
             .zip(&classes)
             .zip(0..)
             .map(|((position, &class), id)| {
-                let index = usize::from(class);
-                let class = &scenario.classes[index];
-                let trace = first_traces[index] + class.harvest.column_index(device_counts[index]);
-                device_counts[index] += 1;
-                let harvest = class.harvest.setup(scenario.run.tau, trace);
+                let class_index = usize::from(class);
+                let class = &scenario.classes[class_index];
+                let nth_of_class = devices_by_class[class_index];
+                let trace_index = first_traces[class_index] + class.harvest.column_index(nth_of_class);
+                devices_by_class[class_index] += 1;
+                let harvest = class.harvest.setup(scenario.run.tau, trace_index);
                 DeviceSetup {
                     id: DeviceId(id),
                     position,
@@ -61,6 +65,7 @@ impl Deployment {
     }
 
     /// Returns the setup of a host with `credentials` for the devices `first .. first + count` from TTI 0 on.
+    /// `scenario` must be the scenario of this deployment.
     ///
     /// # Panics
     /// If these devices are not all among the deployed ones.
@@ -72,7 +77,8 @@ impl Deployment {
         count: u32,
     ) -> HostSetup {
         let devices = self.devices[first as usize..(first + count) as usize].to_vec();
-        // Traces can be long, so a host that reads none does not receive them.
+        // Traces can be long, so a host that reads none does not receive them. Otherwise it receives all: devices refer
+        // to them by index.
         let traces = if devices.iter().any(|d| d.harvest.reads_trace()) {
             self.traces.clone()
         } else {

@@ -1,12 +1,13 @@
-//! Numbers as text with significant digits, so that small costs and harvests do not appear as zero.
+//! Numbers as text with significant digits, so that small costs and harvests do not appear as zero. Messages, command
+//! output, figures and the committed page `docs/reproduction.md` show the texts, and tests expect them.
 
 /// Smallest magnitude that is written without an exponent.
 const MIN_PLAIN: f64 = 1e-9;
 /// Smallest magnitude that is too large to be written without an exponent.
 const PLAIN_LIMIT: f64 = 1e15;
 
-/// Returns the number of decimals that give `x` this number of significant `digits`, at most 12; 0 for zero and for
-/// numbers that are not finite.
+/// Returns the number of decimals with which `x` has `digits` significant digits, ≥ 1; at most 12 decimals, and 0 for
+/// zero and for numbers that are not finite. Rounding up to a power of ten can add one digit.
 pub fn decimals_for(x: f64, digits: u32) -> usize {
     if x == 0.0 || !x.is_finite() {
         return 0;

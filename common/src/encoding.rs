@@ -1,12 +1,13 @@
 //! Encodings for programs in other languages: JSON, which is widely supported, and CBOR, which is shorter. Policy
 //! processes rely on both forms: `docs/policy-port.md` describes them, `python/reveille/policy_client.py` reads them.
-//! Messages between parts of this program use the wire format of [`codec`](crate::codec).
+//! Messages between parts of this program use the wire format of [`codec`](crate::codec), which cannot decode
+//! [`FloatRows`] and [`Octets`].
 
 use serde::de::{self, DeserializeOwned, SeqAccess, Visitor};
 use serde::ser::SerializeSeq;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// An encoding of messages.
+/// An encoding of messages. A policy process names it by its word, `json` or `cbor`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Encoding {
@@ -34,7 +35,7 @@ impl Encoding {
     /// Decodes the message in `bytes`.
     ///
     /// # Errors
-    /// Describes the error in `bytes`.
+    /// If `bytes` is not exactly one message of type `T`; the text describes the error.
     pub fn decode<T: DeserializeOwned>(self, bytes: &[u8]) -> Result<T, String> {
         match self {
             Self::Json => serde_json::from_slice(bytes).map_err(|error| error.to_string()),
@@ -152,11 +153,11 @@ impl<'de> Visitor<'de> for OctetsVisitor {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut numbers: A) -> Result<Octets, A::Error> {
-        let mut all = Vec::new();
+        let mut octets = Vec::new();
         while let Some(number) = numbers.next_element()? {
-            all.push(number);
+            octets.push(number);
         }
-        Ok(Octets(all))
+        Ok(Octets(octets))
     }
 }
 

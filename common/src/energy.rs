@@ -1,5 +1,6 @@
 //! The battery and the energy costs of a device, per class of a scenario. `device/src/battery/` applies them. Names are
-//! part of scenario files and of the scenario hash, the order of fields also of the wire format.
+//! part of scenario files and of the scenario hash, the order of fields also of the wire format. Doc comments of fields
+//! appear in `docs/scenario.md`.
 
 use serde::{Deserialize, Serialize};
 

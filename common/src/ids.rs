@@ -1,14 +1,16 @@
 //! Identifiers of devices, hosts and events, and TTIs ([`Tti`]). Messages, keys, tables and the input log hold them as
-//! plain numbers.
+//! plain numbers: `#[serde(transparent)]` is part of these formats.
 
 use std::fmt;
 use std::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of devices N.
+/// Maximum number of devices N. `lab/src/training/mod.rs` has a constant with this value; error texts in tests and
+/// `docs/scenario.md` state both maxima.
 pub const MAX_DEVICES: u32 = 1_000_000;
-/// Maximum length of a run K, an event or an interval, in TTIs.
+/// Maximum length of a run K, an event or an interval, in TTIs. It must be below 2³⁰
+/// ([`DutyCycle::sum_over_span`](crate::plan::DutyCycle::sum_over_span)).
 pub const MAX_TTIS: u64 = 1_000_000_000;
 
 /// The number of a device, `0 .. N`.
@@ -29,7 +31,7 @@ impl fmt::Display for DeviceId {
     }
 }
 
-/// The number of a host process within a run, in the order in which hosts joined.
+/// The number of a host process within a run from 0, in the order in which hosts joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostId(pub u32);
@@ -47,7 +49,7 @@ impl fmt::Display for HostId {
     }
 }
 
-/// The number of an event, in the order of starts.
+/// The number of an event from 0, in the order of starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct EventId(pub u64);
@@ -78,6 +80,7 @@ impl Tti {
 
 impl Add<u64> for Tti {
     type Output = Self;
+    /// Returns the TTI `n` TTIs later. For a TTI that can be [`Tti::NEVER`], use [`Tti::saturating_add`].
     fn add(self, n: u64) -> Self {
         Self(self.0 + n)
     }

@@ -1,4 +1,6 @@
-//! File access for [`crate::declare::Files`]; no other module of this crate outside the bus and tests opens files.
+//! File access for [`crate::declare::Files`]; no other module of this crate outside the bus and tests opens files,
+//! which `tests/tests/tidy/` checks. Loaders of scenarios and scripts pass [`Disk`]. For tests: the comparison of a
+//! generated table with its page.
 
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
@@ -43,7 +45,11 @@ impl Files for Disk {
     }
 }
 
-/// Checks that `page` holds `table` between `<!-- NAME -->` and `<!-- /NAME -->`. If not, writes it there and panics.
+/// Checks that `page`, a path from the repository's root, holds `table` between the lines `<!-- NAME -->` and
+/// `<!-- /NAME -->`.
+///
+/// # Panics
+/// If it does not; the table is then written there.
 #[cfg(test)]
 pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
@@ -64,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_file_that_grows_beyond_the_limit_is_refused() {
-        // Files in /proc state a length of 0, as a file does that grows after its length was read.
+        // Files in /proc (Linux) state a length of 0, as a file does that grows after its length was read.
         let growing = Path::new("/proc/self/status");
         assert_eq!(std::fs::metadata(growing).expect("a file").len(), 0);
         for max_bytes in [0, 10] {

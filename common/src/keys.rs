@@ -1,5 +1,7 @@
 //! The key expressions of a run. Only Python clients repeat some of them: the policy client
 //! (`python/reveille/policy_client.py`, `docs/policy-port.md`), `tests/untrusted_clients/` and `tests/chaos/`.
+//! [`classify`], [`last_number`], [`HostCredential::from_key_expr`] and `bus/liveliness.rs` parse keys by the positions
+//! of their parts. No kind of message may be called `alive` or `bs` on the emulation plane.
 //!
 //! | key | use |
 //! |---|---|
@@ -42,10 +44,10 @@ impl FromStr for RunName {
     type Err = RunNameError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
-        let fits = !s.starts_with('-')
+        let is_valid = !s.starts_with('-')
             && (1..=64).contains(&s.len())
             && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
-        if fits {
+        if is_valid {
             Ok(Self(s.to_owned()))
         } else {
             Err(RunNameError(s.to_owned()))
@@ -178,7 +180,8 @@ pub fn last_number(key: &str) -> Option<u32> {
     key.rsplit('/').next()?.parse().ok()
 }
 
-/// Returns the kind of message on `key`, and the number after it, such as a host's, if the key has one.
+/// Returns the kind of message on `key`, and the number after it, if the key has one: the host's, also for wake-ups and
+/// reports.
 pub fn classify(key: &str) -> Option<(MessageKind, Option<u32>)> {
     // Keys of members have the secret as an additional part.
     let mut parts = key.split('/').skip(2).filter(|part| !part.starts_with('@'));

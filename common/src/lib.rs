@@ -2,14 +2,16 @@
 //!
 //! - A run: [`scenario`] describes it, [`deployment`] places its devices, [`world`] holds its events. [`ids`] has the
 //!   numbers of devices, hosts and events, and model time.
-//! - Physics: [`sensing`], [`harvest`], [`energy`] in [`units`], [`state`] of a device, [`event`], [`radio`], both with
-//!   [`phases`], [`geometry`], [`rng`]. [`energy_balance`] compares harvest and costs before a run.
+//! - Physics: [`sensing`], [`harvest`], [`energy`] in [`units`], [`state`] of a device, [`event`] and [`radio`] (both
+//!   with [`phases`]), [`geometry`], [`rng`]. [`energy_balance`] compares harvest and costs before a run.
 //! - Decisions and messages: [`plan`], [`message`], [`codec`], [`bus`] with its key expressions in [`keys`], of which a
 //!   [`secret`] is a part.
 //! - Results: [`totals`], [`score`] with all metrics and the digest, [`digits`] to write numbers.
 //! - Fields and files: [`mod@declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
 //!
-//! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. Start with [`scenario`].
+//! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. `tests/tests/tidy/` checks
+//! this, and that modules do not depend on each other in a cycle. The cargo features `bus` and `parquet` add the
+//! modules of these names; `parquet` also adds a format of data files. Start with [`scenario`].
 
 #[cfg(feature = "bus")]
 pub mod bus;

@@ -1,5 +1,6 @@
 //! Flat Parquet files: the writer and the reader of columns that result tables, trajectories and exports share. The
-//! callers define names, types and order of the columns.
+//! callers (`lab/src/table/`, `lab/src/trajectories/`, `view/src/export/`) define names, types and order of the
+//! columns; each writes or reads all columns, in the order of the schema. `columns/parquet.rs` reads foreign files.
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -19,25 +20,25 @@ use ::parquet::schema::types::Type;
 #[derive(Clone, Copy, Debug)]
 pub struct Column<'n> {
     name: &'n str,
-    physical: Physical,
+    physical_type: Physical,
     repetition: Repetition,
 }
 
 impl<'n> Column<'n> {
     /// Returns a column with a value in each row.
-    pub const fn required(name: &'n str, physical: Physical) -> Self {
+    pub const fn required(name: &'n str, physical_type: Physical) -> Self {
         Self {
             name,
-            physical,
+            physical_type,
             repetition: Repetition::REQUIRED,
         }
     }
 
     /// Returns a column in which values may be missing.
-    pub const fn optional(name: &'n str, physical: Physical) -> Self {
+    pub const fn optional(name: &'n str, physical_type: Physical) -> Self {
         Self {
             name,
-            physical,
+            physical_type,
             repetition: Repetition::OPTIONAL,
         }
     }
@@ -49,15 +50,16 @@ impl<'n> Column<'n> {
 /// If Parquet does not support a column.
 pub fn schema<'n>(name: &str, columns: impl IntoIterator<Item = Column<'n>>) -> Result<Type, ParquetError> {
     let field = |column: Column<'_>| {
-        let text = (column.physical == Physical::BYTE_ARRAY).then_some(LogicalType::String);
-        let builder = Type::primitive_type_builder(column.name, column.physical).with_repetition(column.repetition);
+        let text = (column.physical_type == Physical::BYTE_ARRAY).then_some(LogicalType::String);
+        let builder =
+            Type::primitive_type_builder(column.name, column.physical_type).with_repetition(column.repetition);
         builder.with_logical_type(text).build().map(Arc::new)
     };
     let fields = columns.into_iter().map(field).collect::<Result<_, _>>()?;
     Type::group_type_builder(name).with_fields(fields).build()
 }
 
-/// An unfinished file, written row group by row group.
+/// An unfinished file, written row group by row group. Without [`Self::finish`] it is unreadable.
 pub struct Writer<W: Write + Send>(SerializedFileWriter<W>);
 
 impl<W: Write + Send> Writer<W> {
@@ -107,18 +109,24 @@ impl<W: Write + Send> Writer<W> {
 pub struct GroupWriter<'f, W: Write>(SerializedRowGroupWriter<'f, W>);
 
 impl<W: Write + Send> GroupWriter<'_, W> {
-    /// Writes the next column, with a value in each row.
+    /// Writes the next column, which must be [required](Column::required), with a value in each row.
     ///
     /// # Errors
-    /// If it cannot be written, or is of another type in the schema.
+    /// If it cannot be written, or the schema has no further column.
+    ///
+    /// # Panics
+    /// If it is of another type in the schema.
     pub fn write_required<T: DataType>(&mut self, values: impl IntoIterator<Item = T::T>) -> Result<(), ParquetError> {
         self.write_column::<T>(&values.into_iter().collect::<Vec<_>>(), None)
     }
 
-    /// Writes the next column, in which values may be missing.
+    /// Writes the next column, which must be [optional](Column::optional): values may be missing.
     ///
     /// # Errors
-    /// If it cannot be written, or is of another type in the schema.
+    /// If it cannot be written, or the schema has no further column.
+    ///
+    /// # Panics
+    /// If it is of another type in the schema.
     pub fn write_optional<T: DataType>(
         &mut self,
         values: impl IntoIterator<Item = Option<T::T>>,
@@ -160,18 +168,24 @@ impl<'f> GroupReader<'f> {
         self.rows
     }
 
-    /// Reads the next column, with a value in each row.
+    /// Reads the next column, which must be required, with a value in each row.
     ///
     /// # Errors
     /// If it cannot be read or is shorter than the group.
+    ///
+    /// # Panics
+    /// If it is of another type, see [`catch_decoder_panic`].
     pub fn read_required<T: DataType>(&mut self) -> Result<Vec<T::T>, ParquetError> {
         self.read_column::<T>(None)
     }
 
-    /// Reads the next column, in which values may be missing.
+    /// Reads the next column, which must be optional: values may be missing.
     ///
     /// # Errors
     /// If it cannot be read or is shorter than the group.
+    ///
+    /// # Panics
+    /// If it is of another type, see [`catch_decoder_panic`].
     pub fn read_optional<T: DataType>(&mut self) -> Result<Vec<Option<T::T>>, ParquetError> {
         let mut levels = Vec::new();
         let mut values = self.read_column::<T>(Some(&mut levels))?.into_iter();
@@ -197,7 +211,8 @@ impl<'f> GroupReader<'f> {
     }
 }
 
-/// Runs `decode`; `None` if the decoder panics, as it does on some corrupt files.
+/// Runs `decode`; `None` if the decoder panics, as it does on some corrupt files. It needs `panic = "unwind"`, the
+/// default of cargo profiles.
 pub fn catch_decoder_panic<T>(decode: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(decode)).ok()
 }

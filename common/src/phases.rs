@@ -1,5 +1,6 @@
 //! Alternating busy and quiet phases: of events in `event/bursts.rs`, of interference in `radio/air.rs`. Digests depend
-//! on the order of draws: whether the run starts busy, then the length of each phase.
+//! on the order of draws: whether the run starts busy, then the length of each phase. `radio.rs` and `events.rs` in
+//! `tests/src/reference/` repeat it.
 
 use crate::ids::Tti;
 use crate::rng::{Geometric, Stream};
@@ -26,7 +27,10 @@ pub struct Phases {
 }
 
 impl Phases {
-    /// Draws phases with mean lengths of `mean_busy` and `mean_quiet` TTIs, ≥ 1, from `stream`.
+    /// Draws phases with mean lengths of `mean_busy` and `mean_quiet` TTIs from `stream`.
+    ///
+    /// # Panics
+    /// If a mean is below 1, which the ranges of the settings exclude.
     pub fn new(mut stream: Stream, mean_busy: f64, mean_quiet: f64) -> Self {
         // A geometric distribution has no memory: the rest of a started phase has the distribution of a whole one.
         let is_busy = stream.unit() < mean_busy / (mean_busy + mean_quiet);
@@ -53,7 +57,7 @@ impl Phases {
         self.phase.end = self.phase.end.saturating_add(distribution.draw(&mut self.stream));
     }
 
-    /// Returns the phase of TTI `k`, which must not precede the TTI of the last call.
+    /// Returns the phase of TTI `k`, which must not precede the TTI of the last call: the phases cannot go back.
     pub fn phase_at(&mut self, k: Tti) -> Phase {
         while self.phase.end <= k {
             self.phase.is_busy = !self.phase.is_busy;

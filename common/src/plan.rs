@@ -1,7 +1,8 @@
 //! The δ plan, which determines the sensing devices of each TTI: policies create it, devices and the world follow it.
 //!
 //! Plans travel on the bus and enter the digest. A change of their fields raises the version of the wire format, and of
-//! the digest if it is hashed.
+//! the digest if it is hashed. Recordings hold the names of the fields (`view/src/schemas.rs`). The input log and the
+//! policy port have other forms (`lab/src/external_inputs/mod.rs`, `bs/src/policy/external/wire.rs`).
 
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +61,7 @@ impl DutyCycle {
     }
 
     /// Sums over a span of `n` TTIs that starts at the position `phase` of the cycle (`0 .. t_drx`); `n` is at most
-    /// 2³⁰. Returns three values:
+    /// 2³⁰, and [`MAX_TTIS`](crate::ids::MAX_TTIS) is less. Returns three values:
     /// - the number of TTIs with δ_j = 1;
     /// - the sum over those TTIs of the number of TTIs from each one, itself included, to the end of the span. This is
     ///   the reduction of the battery by a unit cost paid in S1, summed over the span;
@@ -152,9 +153,10 @@ impl Plan {
         Self::Bits { bits }
     }
 
-    /// Creates a plan of bits for `devices` devices, of which `sensing` have δ = 1. All ids must be below `devices`.
-    pub fn from_devices(devices: usize, sensing: &[DeviceId]) -> Self {
-        let mut bits = vec![0; devices.div_ceil(8)];
+    /// Creates a plan of bits for `device_count` devices, of which `sensing` have δ = 1. All ids must be below
+    /// `device_count`: a larger one panics, or sets a spare bit of the last byte.
+    pub fn from_devices(device_count: usize, sensing: &[DeviceId]) -> Self {
+        let mut bits = vec![0; device_count.div_ceil(8)];
         for device in sensing {
             bits[device.index() / 8] |= 1 << (device.index() % 8);
         }

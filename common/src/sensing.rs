@@ -1,7 +1,7 @@
 //! The sensing of events by devices and the information in their reports (paper Sec. II-A). Digests hold the
 //! information bit for bit, so no operation may change; `tests/src/reference/detection.rs` repeats the detection. Names
-//! are part of scenario files, the scenario hash and learned tables. A change of the fields of [`Sensing`] or of their
-//! order raises `WIRE_VERSION`.
+//! are part of scenario files, the scenario hash and learned tables. The doc comments of the fields are rows of
+//! `docs/scenario.md`. A change of the fields of [`Sensing`] or of their order raises `WIRE_VERSION`.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ use crate::geometry::Area;
 use crate::ids::{DeviceId, EventId};
 use crate::rng::{Purpose, unit_for_pair};
 
-/// Maximum value of η · `d_max`: `p(d_max)` is still above 0 in double precision.
+/// Maximum value of η · `d_max`: `p(d_max)` is still above 0 in double precision. The doc comment of `eta` repeats it.
 const MAX_DECAY: f64 = 700.0;
 
 choices! {

@@ -1,5 +1,5 @@
-//! The states of a device (Sec. II), as messages and device checkpoints carry them: the order of variants and fields is
-//! part of the wire format. The state machine is `device/src/machine/`.
+//! The states of a device (Sec. II), as messages and device checkpoints hold them: a change of the variants, the fields
+//! or their order raises `WIRE_VERSION`. The state machine is `device/src/machine/`.
 
 use serde::{Deserialize, Serialize};
 

@@ -155,7 +155,8 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Whether both sums are balanced and the measured part can belong to the whole.
+    /// Whether both sums are balanced and the measured part can belong to the whole. The base station refuses other
+    /// ledgers. A new count of [`DeviceTotals`] needs a check here.
     pub fn is_valid(&self) -> bool {
         let Self {
             whole,
@@ -232,7 +233,8 @@ pub struct EventTotals {
 }
 
 impl EventTotals {
-    /// Adds an ended event with its totals; its first report, if any, took `delay` TTIs.
+    /// Adds an ended event with its totals; its first report, if any, took `delay` TTIs. A new field of [`EventTally`]
+    /// needs a sum here.
     pub fn count(&mut self, event: &EventTally, delay: Option<u64>) {
         self.events += 1;
         self.misdetected += u64::from(delay.is_none());
@@ -428,19 +430,23 @@ impl MissedEvents {
     }
 }
 
-/// The losses of the radio in the measured TTIs.
+/// The losses of the radio in the measured TTIs, and the numbers of messages sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RadioLosses {
     /// Number of reports that were sent and did not reach the BS.
-    pub reports: u64,
+    #[serde(rename = "reports")]
+    pub lost_reports: u64,
     /// Number of wake-ups sent.
-    pub wake_ups: u64,
+    #[serde(rename = "wake_ups")]
+    pub sent_wake_ups: u64,
     /// Number of wake-ups that the device did not receive: its radio missed them, it was unpowered or not asleep.
     pub missed_wake_ups: u64,
     /// Number of wake-ups that took effect too late: the device woke after the end of the event.
-    pub late: u64,
+    #[serde(rename = "late")]
+    pub late_wake_ups: u64,
     /// Number of plans sent, counted for each device.
-    pub plans: u64,
+    #[serde(rename = "plans")]
+    pub sent_plans: u64,
     /// Number of these plans that a device missed.
     pub missed_plans: u64,
 }

@@ -1,8 +1,9 @@
 //! Energy in integer micro-units.
 //!
 //! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are stored as
-//! whole micro-units, so that sums do not depend on the order of addition. Scenarios whose sums might not fit in 64
-//! bits are rejected. A sum that overflows panics in every build and never wraps.
+//! whole micro-units, so that sums do not depend on the order of addition. `scenario/validate.rs` rejects scenarios
+//! whose sums might not fit in 64 bits. A sum that overflows and a difference below 0 panic in every build and never
+//! wrap. Messages, digests and `totals` in `summary.json` hold micro-units.
 
 use std::fmt;
 use std::iter::Sum;
@@ -14,8 +15,8 @@ use serde::{Deserialize, Serialize};
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
 
 /// Maximum energy in a scenario, in units: 10¹⁵ micro-units. Up to there, micro-units are exact in double precision,
-/// which files, figures and clients use, and a device's levels over a span of 2¹³ TTIs add up within 64 bits. Sums over
-/// a run are checked when a scenario is loaded.
+/// which files, figures and clients use, and a device's levels over a span of 2¹³ TTIs (`MAX_SPAN_TTIS` in
+/// `device/src/machine/mod.rs`) add up within 64 bits. Sums over a run are checked when a scenario is loaded.
 pub const MAX_UNITS: f64 = 1e9;
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
@@ -39,7 +40,8 @@ impl Energy {
             .then(|| Self((units * MICRO_PER_UNIT as f64).round() as u64))
     }
 
-    /// Converts the `units` of a declared default, rounded to the nearest micro-unit.
+    /// Converts the `units` of a declared default, rounded to the nearest micro-unit. Unlike [`Self::from_units`], it
+    /// does not check that `units` is within `0 ..= `[`MAX_UNITS`].
     pub(crate) const fn from_default(units: f64) -> Self {
         Self((units * MICRO_PER_UNIT as f64 + 0.5) as u64)
     }
@@ -110,7 +112,7 @@ impl Sub for Energy {
     #[inline]
     fn sub(self, other: Self) -> Self {
         match self.0.checked_sub(other.0) {
-            Some(rest) => Self(rest),
+            Some(difference) => Self(difference),
             None => panic_underflow(),
         }
     }
@@ -161,7 +163,7 @@ mod tests {
             let energy = max - Energy::from_micro(below);
             assert_eq!(Energy::from_units(energy.units()), Some(energy));
         }
-        // A span of a device, `device/src/machine/`.
+        // The longest span of a device, `MAX_SPAN_TTIS` in `device/src/machine/mod.rs`.
         assert_eq!(max.times(1 << 13).micro(), 8_192_000_000_000_000_000);
     }
 

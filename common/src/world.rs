@@ -77,7 +77,8 @@ impl World {
         )
     }
 
-    /// Creates the world like [`Self::new`], with the events of `process`.
+    /// Creates the world like [`Self::new`], with the events of `process`, which may differ from the events of
+    /// `scenario`: only tests call it directly.
     pub fn with_events<P>(scenario: &Scenario<P>, deployment: &Deployment, process: EventProcess) -> Self {
         let positions = deployment.positions();
         Self {

@@ -26,7 +26,7 @@ use crate::cli::AuditArg;
 use crate::input_log::InputLog;
 use crate::runtime::now;
 
-/// The default share of the time for an audit.
+/// The share of the time for an audit under [`AuditArg::Auto`]; `docs/command-line.md` repeats it.
 const AUTO_TIME_SHARE: f64 = 0.05;
 /// Least time that an audit may still take after the end of the run.
 const END_ALLOWANCE: Duration = Duration::from_secs(2);
@@ -37,7 +37,8 @@ const MAX_QUEUED_FRAMES: u64 = 1 << 18;
 /// Pause between two checks of a replay that has used up its share.
 const THROTTLE_PAUSE: Duration = Duration::from_millis(20);
 
-/// The outcome of an audit. Its text is `audit` in `summary.json`.
+/// The outcome of an audit. Its text is `audit` in `summary.json`; `docs/command-line.md` and `tests/chaos/cases.py`
+/// repeat it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum AuditOutcome {
     /// No audit was requested.
@@ -65,7 +66,7 @@ type AuditBatch = (Tti, Vec<Frame>);
 #[derive(Clone)]
 pub(crate) struct SharedReplay {
     replay: Arc<Mutex<Replay>>,
-    log: Arc<Mutex<InputLog>>,
+    input_log: Arc<Mutex<InputLog>>,
     /// Decisions and actions not yet added to the replay, so that the run does not wait for its lock.
     pending_inputs: Arc<Mutex<Vec<ExternalInput>>>,
 }
@@ -85,14 +86,14 @@ impl SharedReplay {
     /// Logs an input of a TTI that the replay has not reached, and adds it later.
     fn log_for_later(&self, input: ExternalInput) -> Result<(), String> {
         // Logged before it takes effect: a killed run must find it in the log.
-        self.log(&input)?;
+        self.append_to_log(&input)?;
         let mut pending = self.pending_inputs.lock().unwrap_or_else(PoisonError::into_inner);
         pending.push(input);
         Ok(())
     }
 
-    fn log(&self, input: &ExternalInput) -> Result<(), String> {
-        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+    fn append_to_log(&self, input: &ExternalInput) -> Result<(), String> {
+        let mut log = self.input_log.lock().unwrap_or_else(PoisonError::into_inner);
         log.add(input).map_err(|error| format!("{error:#}"))
     }
 }
@@ -113,7 +114,7 @@ impl ReplaySource for SharedReplay {
     fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), String> {
         let input = ExternalInput::Removal(*removal);
         // Logged before it takes effect: a killed run must find it in the log.
-        self.log(&input)?;
+        self.append_to_log(&input)?;
         self.lock().add_input(input);
         Ok(())
     }
@@ -135,10 +136,10 @@ pub(crate) struct AuditStart<'a> {
     /// The external inputs before it.
     pub inputs: &'a ExternalInputs,
     /// The log for later inputs.
-    pub log: InputLog,
+    pub input_log: InputLog,
 }
 
-/// The replay of a run and its audit.
+/// The replay of a run and its audit. Without an audit, `sender` and `thread` are `None`.
 pub(crate) struct Auditor {
     replay: SharedReplay,
     sender: Option<Sender<AuditBatch>>,
@@ -170,10 +171,10 @@ impl Auditor {
     ) -> Self {
         let is_audited = mode != AuditArg::Off;
         // Without an audit the replay compares nothing, but still supplies lost devices.
-        let from = if is_audited { start.from } else { Tti::NEVER };
+        let compared_from = if is_audited { start.from } else { Tti::NEVER };
         let replay = SharedReplay {
-            replay: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, from))),
-            log: Arc::new(Mutex::new(start.log)),
+            replay: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, compared_from))),
+            input_log: Arc::new(Mutex::new(start.input_log)),
             pending_inputs: Arc::default(),
         };
         let backlog = Arc::new(AuditBacklog::default());
@@ -203,7 +204,7 @@ impl Auditor {
     }
 
     /// The source of devices and outcomes for a takeover.
-    pub(crate) fn replay(&self) -> Arc<dyn ReplaySource> {
+    pub(crate) fn replay_source(&self) -> Arc<dyn ReplaySource> {
         Arc::new(self.replay.clone())
     }
 
@@ -261,6 +262,7 @@ struct AuditThread {
 }
 
 impl AuditThread {
+    /// Compares every batch until the last sender is dropped. The first divergence stops the run and ends the thread.
     fn audit_batches(self, batches: &Receiver<AuditBatch>) -> Result<(), Divergence> {
         for (k, frames) in batches {
             self.backlog
@@ -272,11 +274,11 @@ impl AuditThread {
                 continue;
             }
             if let Err(divergence) = self.compare(k, &frames) {
-                let why = format!(
+                let reason = format!(
                     "audit failed: the run diverged from its replay at {divergence}{}",
                     device_owner_clause(&self.progress, &divergence)
                 );
-                self.progress.request_stop_because(why);
+                self.progress.request_stop_because(reason);
                 return Err(divergence);
             }
         }
@@ -287,6 +289,8 @@ impl AuditThread {
         Ok(())
     }
 
+    /// Advances the replay to `k`, step by step, and compares `frames`, the frames of the TTIs before it. Returns early
+    /// without a comparison if the audit is abandoned.
     fn compare(&self, k: Tti, frames: &[Frame]) -> Result<(), Divergence> {
         loop {
             if !self.wait_for_time_share() {
@@ -365,7 +369,8 @@ impl AuditObserver {
             self.sender = None;
             return;
         }
-        let _gone = sender.send((k, frames)).is_err();
+        // A failed send means that the audit thread has ended with a divergence, which `finish` returns.
+        let _thread_ended = sender.send((k, frames)).is_err();
     }
 }
 

@@ -57,7 +57,7 @@ impl Children {
         Ok(children)
     }
 
-    /// Waits for all children to leave, and kills the rest after [`EXIT_TIMEOUT`].
+    /// Waits for all children to leave. After [`EXIT_TIMEOUT`] the drop of `self` kills the others.
     pub(crate) fn wait(mut self) {
         let started = crate::runtime::now();
         while started.elapsed() < EXIT_TIMEOUT {
@@ -79,8 +79,8 @@ impl Drop for Children {
     fn drop(&mut self) {
         for child in &mut self.running {
             // An error means that the child has already ended.
-            let _gone = child.kill().is_err();
-            let _reaped = child.wait().is_err();
+            let _already_ended = child.kill().is_err();
+            let _already_reaped = child.wait().is_err();
         }
     }
 }
@@ -95,7 +95,7 @@ pub(crate) struct DeviceProcesses<'a> {
     pub endpoint: &'a str,
     /// The name of the run.
     pub run: &'a str,
-    /// Options for logging.
+    /// Options for logging, from `Cli::log_options`.
     pub log: &'a [String],
     /// Whether the processes run without tuning.
     pub is_untuned: bool,
@@ -112,28 +112,28 @@ impl DeviceProcesses<'_> {
             let device_args = ["device", "--connect", self.endpoint, &run, "--count", &count];
             let lifetime_args = ["--parent", &parent, "--host-count", &host_count];
             let untuned = self.is_untuned.then_some("--untuned");
-            let all = device_args.into_iter().chain(lifetime_args).chain(untuned);
-            all.map(str::to_owned).chain(self.log.iter().cloned()).collect()
+            let options = device_args.into_iter().chain(lifetime_args).chain(untuned);
+            options.map(str::to_owned).chain(self.log.iter().cloned()).collect()
         };
         split_devices(self.devices, self.processes).map(command).collect()
     }
 }
 
-/// Starts a process of this program and passes it the run's `key`.
+/// Starts a process of this program and passes it the run's key, if any.
 ///
 /// Call it from a thread that lives as long as the run. The kernel ends a child tied to its parent when the thread that
 /// started it ends.
 ///
 /// # Errors
 /// If it cannot be started.
-pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: ZenohThreads) -> anyhow::Result<Child> {
+pub(crate) fn spawn(arguments: &[String], run_key: Option<Secret>, threads: ZenohThreads) -> anyhow::Result<Child> {
     let program = std::env::current_exe().context("cannot find the path of the reveille program")?;
     let mut command = Command::new(program);
     if threads == ZenohThreads::One && !has_thread_setting() {
         command.env(ZENOH_THREADS_VARIABLE, ONE_ZENOH_THREAD);
     }
-    if let Some(key) = key {
-        command.env(key::KEY_VARIABLE, key.to_string());
+    if let Some(run_key) = run_key {
+        command.env(key::KEY_VARIABLE, run_key.to_string());
     }
     Ok(command
         .args(arguments)
@@ -146,11 +146,12 @@ pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: ZenohThr
 
 /// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh takes the number
 /// from the environment only, and changing the environment of a running process needs unsafe code. Returns if no
-/// restart is needed or the restart fails.
+/// restart is needed or the restart fails. Call it before any runtime or session: it replaces the process.
 pub(crate) fn restart_with_one_zenoh_thread() {
     if has_thread_setting() {
         return;
     }
+    // Replaced here, so that the restarted process does not repeat the warnings.
     let (arguments, _) = crate::cli::former::replace_former_names(std::env::args_os());
     let mut arguments = arguments.into_iter();
     let name = arguments.next();
@@ -203,8 +204,8 @@ pub(crate) fn exit_with_optional_parent(parent: Option<i32>) -> anyhow::Result<(
     parent.map_or(Ok(()), |parent| exit_with_parent(parent, Signal::TERM))
 }
 
-/// Runs `reveille ARGUMENTS` and returns the summary of that run. One call at a time: its folder has the name of this
-/// process.
+/// Runs `reveille ARGUMENTS`, a `run` or an `up`, and returns the summary of that run. One call at a time: its folder
+/// has the number of this process in its name.
 ///
 /// # Errors
 /// If the run fails; the error contains its standard error.

@@ -1,6 +1,6 @@
 //! Output for people: lines of text, log lines and progress bars, written so that log lines and bars do not tear each
-//! other. Results go to standard output ([`print_stdout`]), all else to standard error. Tests wait for `TTIs/s` in the
-//! bar of a run.
+//! other. Results go to standard output ([`print_stdout`]), all else to standard error.
+//! `tests/program/closed_terminal.rs` waits for `TTIs/s` in the bar of a run.
 
 use std::collections::VecDeque;
 use std::io;
@@ -75,7 +75,7 @@ pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
     lines.join("\n")
 }
 
-/// Columns of a line of text.
+/// Columns of a line of text for people; results, `compare` and the lists of `--help` keep to it.
 pub(crate) const WIDTH: usize = 80;
 
 /// Formats a number with its noun: `1 run`, `2 runs`.
@@ -124,7 +124,7 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
     }
 }
 
-/// Creates a progress bar, unless `hidden` or standard error is not a terminal.
+/// Creates a progress bar; it draws nothing if `hidden` or if standard error is not a terminal.
 pub(crate) fn new_bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
     let bar = if hidden {
         ProgressBar::hidden()
@@ -151,12 +151,12 @@ impl RunProgressBar {
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
         let (devices, ttis, warm_up_end) = (scenario.run.devices, scenario.run.ttis, scenario.warm_up_end().0);
         let thread = std::thread::spawn(move || {
-            let mut speed = Speed::default();
+            let mut speed = SpeedMeter::default();
             while !thread_done.load(Ordering::Relaxed) {
                 let tti = progress.next_tti.load(Ordering::Relaxed);
-                let rate = speed.measure(crate::runtime::now(), tti);
+                let ttis_per_s = speed.measure(crate::runtime::now(), tti);
                 thread_bar.set_position(tti);
-                thread_bar.set_message(run_message(&progress, (devices, ttis, warm_up_end), rate));
+                thread_bar.set_message(run_message(&progress, (devices, ttis, warm_up_end), ttis_per_s));
                 // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
@@ -182,9 +182,9 @@ impl Drop for RunProgressBar {
 
 /// Measures the speed of a run over its last seconds: the next TTI of the run at several times, oldest first.
 #[derive(Debug, Default)]
-struct Speed(VecDeque<(Instant, u64)>);
+struct SpeedMeter(VecDeque<(Instant, u64)>);
 
-impl Speed {
+impl SpeedMeter {
     /// Time over which the speed is measured.
     const SPAN: Duration = Duration::from_secs(3);
     /// Shortest time for a first value.
@@ -212,8 +212,12 @@ impl Speed {
 }
 
 /// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number. A value
-/// is left out until it is measured.
-fn run_message(progress: &RunProgress, (devices, ttis, warm_up_end): (u32, u64, u64), rate: Option<f64>) -> String {
+/// is left out until it is measured. The message must fit next to the bar in 80 columns.
+fn run_message(
+    progress: &RunProgress,
+    (devices, ttis, warm_up_end): (u32, u64, u64),
+    ttis_per_s: Option<f64>,
+) -> String {
     let load = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
     let (tti, joined) = (load(&progress.next_tti), load(&progress.joined_devices));
     let is_paused = progress.is_paused.load(Ordering::Relaxed);
@@ -226,11 +230,12 @@ fn run_message(progress: &RunProgress, (devices, ttis, warm_up_end): (u32, u64, 
     let mut parts = vec![format!("TTI {tti}/{ttis}")];
     if is_paused {
         parts.push("paused".to_owned());
-    } else if let Some(rate) = rate {
-        parts.push(format!("{rate:.0} TTIs/s"));
-        if rate > 0.0 {
-            let left = Duration::try_from_secs_f64(ttis.saturating_sub(tti) as f64 / rate).unwrap_or(Duration::MAX);
-            parts.push(format!("{:#} left", HumanDuration(left)));
+    } else if let Some(ttis_per_s) = ttis_per_s {
+        parts.push(format!("{ttis_per_s:.0} TTIs/s"));
+        if ttis_per_s > 0.0 {
+            let remaining = ttis.saturating_sub(tti) as f64 / ttis_per_s;
+            let remaining = Duration::try_from_secs_f64(remaining).unwrap_or(Duration::MAX);
+            parts.push(format!("{:#} left", HumanDuration(remaining)));
         }
     }
     let (events, missed) = (load(&progress.events), load(&progress.misdetected));
@@ -257,7 +262,7 @@ mod tests {
     #[test]
     fn a_speed_needs_half_a_second_and_covers_three() {
         let start = crate::runtime::now();
-        let mut speed = Speed::default();
+        let mut speed = SpeedMeter::default();
         let mut measure = |millis, tti| speed.measure(start + Duration::from_millis(millis), tti);
         assert_eq!(
             (measure(0, 0), measure(100, 5000), measure(400, 5600)),

@@ -1,6 +1,6 @@
 //! The exit codes of `reveille`, their lines in `--help`, and the errors of commands that have a code other than 1.
-//! `main` turns the error of a command into its code. Scripts rely on the numbers; `docs/command-line.md` lists them.
-//! The file also keeps the message of the last panic, which `run_folder` stores as the cause of a failed run.
+//! `main` turns the error of a command into its code. Scripts and tests rely on the numbers; `docs/command-line.md`
+//! lists them. The file also keeps the message of the last panic: `run_folder` stores it as the cause of a failed run.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -18,7 +18,7 @@ pub enum ExitReason {
     Failed,
     /// Wrong command line, or a request that this build does not support. clap uses the same code.
     Usage,
-    /// End by a signal, at the first signal with the results so far kept. Shells use the same code for Ctrl-C.
+    /// Ended by a signal; after a first signal the results so far are kept. Shells use the same code for Ctrl-C.
     Interrupted,
 }
 
@@ -44,10 +44,11 @@ pub(crate) fn last_panic() -> Option<String> {
 }
 
 impl ExitReason {
-    /// All outcomes.
+    /// All outcomes, in the order of `--help`. The compiler does not notice a missing one.
     const ALL: [Self; 4] = [Self::Done, Self::Failed, Self::Usage, Self::Interrupted];
 
-    /// The outcome of a command that returned `error`.
+    /// The outcome of a command that returned `error`. An error with a code other than 1 must be a type named here and
+    /// keep it: `context` does, a new `anyhow!` does not.
     pub fn from_error(error: &anyhow::Error) -> Self {
         // A run over the bus that a signal stops ends with an error of the base station.
         let is_bs_interruption = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
@@ -70,7 +71,7 @@ impl ExitReason {
         }
     }
 
-    /// The line of `--help`.
+    /// The line of `--help`, without the code.
     const fn about(self) -> &'static str {
         match self {
             Self::Done => "done",

@@ -1,5 +1,6 @@
 //! The limit of open files, sockets included: raised as far as the system allows, and checked against the run's needs.
-//! `docs/command-line.md` lists both constants.
+//! `up`, `bs` and `device` call it before they create anything. `docs/command-line.md` lists both constants;
+//! `tests/program/limits.rs` and `tests/chaos/environment.py` repeat sums of them and parts of the texts.
 
 use anyhow::bail;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -10,7 +11,8 @@ const STATION_FILES: u64 = 48;
 /// Files of a device process: 28 to 30 open, plus some while it connects.
 const DEVICE_PROCESS_FILES: u64 = 32;
 
-/// Ensures enough files for a base station with `processes` device processes; each takes one more.
+/// Ensures enough files for a base station with `processes` device processes; each takes one more. The processes have
+/// their own limit ([`ensure_for_device_process`]).
 ///
 /// # Errors
 /// If the system limit is too low.

@@ -1,11 +1,11 @@
 //! The lock of a run folder: one run at a time writes into it.
 //!
-//! The file `RUNNING` exists and is locked while the run lasts. The kernel releases the lock when the process ends for
-//! any reason, so a `RUNNING` file without a lock belongs to a killed run. `run_folder` takes the lock, also for
-//! `--resume`; `run_reader`, `inspect` and `train record` read its status.
+//! The file `RUNNING`, the running mark, holds `pid N`. It exists and is locked while the run lasts. The kernel
+//! releases the lock when the process ends for any reason, so a `RUNNING` file without a lock belongs to a killed run.
+//! `run_folder` takes the lock, also for `--resume`; `run_reader`, `inspect` and `train record` read its status.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -14,18 +14,20 @@ use anyhow::{Context, bail};
 /// The file that marks an active or killed run.
 pub(crate) const RUNNING_FILE: &str = "RUNNING";
 
-/// The right to write into a folder; released when dropped.
+/// The right to write into a folder, until it is dropped.
 pub(crate) struct FolderLock {
+    /// The path of `RUNNING`.
     path: PathBuf,
-    mark: File,
-    /// The content of a mark found in the folder.
+    /// The open and locked file `RUNNING`.
+    running_file: File,
+    /// The content of a `RUNNING` file found in the folder, by a killed run or another program.
     found_text: Option<String>,
 }
 
 /// The status of the run in a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum FolderStatus {
-    /// No mark: the run has ended, or there is none.
+    /// No running mark: the run has ended, or the folder holds no run.
     Finished,
     /// A run is writing there; its process id, if readable.
     Running(Option<u32>),
@@ -34,8 +36,9 @@ pub(crate) enum FolderStatus {
 }
 
 impl FolderLock {
-    /// Locks `folder`, which is created if missing. Its content stays unchanged. Call [`Self::mark_running`]
-    /// before the run: without it, [`Self::was_killed`] does not recognise the run after a kill.
+    /// Locks `folder`, which is created if missing. Its content stays unchanged, except for a new, empty `RUNNING`.
+    /// Call [`Self::mark_running`] before the run: without it, [`Self::was_killed`] does not recognise the run after a
+    /// kill. End with [`Self::release`] or [`Self::abandon`]: a drop leaves `RUNNING` behind, as a kill does.
     ///
     /// # Errors
     /// If a run is writing there, or the folder cannot be written to.
@@ -45,50 +48,56 @@ impl FolderLock {
         let path = folder.join(RUNNING_FILE);
         loop {
             // Checked before the open, which creates the file.
-            let was_there = path.symlink_metadata().is_ok();
+            let existed = path.symlink_metadata().is_ok();
             // Opened for writing, since network file systems refuse to lock a file that is open for reading only. The
             // content stays: it names the process of a live run, or shows that a run was killed.
-            let mark = OpenOptions::new()
+            let running_file = OpenOptions::new()
                 .read(true)
                 .write(true)
                 .create(true)
                 .truncate(false)
                 .open(&path);
-            let mark = mark.with_context(write_error)?;
-            match mark.try_lock() {
+            let running_file = running_file.with_context(write_error)?;
+            match running_file.try_lock() {
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) => bail!("{}", in_use_error(folder, read_pid(&mark))),
+                Err(TryLockError::WouldBlock) => bail!("{}", in_use_error(folder, read_pid(&running_file))),
                 Err(TryLockError::Error(error)) => tracing::warn!(
                     "{}: {error}: this file system cannot lock files, so a second run in the folder is not kept out",
                     folder.display()
                 ),
             }
             // A run that ended meanwhile has removed this file: its lock protects nothing, and another try is needed.
-            if is_file_at(&mark, &path) {
-                let found_text = was_there.then(|| read_text(&mark));
-                return Ok(Self { path, mark, found_text });
+            if is_file_at(&running_file, &path) {
+                let found_text = existed.then(|| read_text(&running_file));
+                return Ok(Self {
+                    path,
+                    running_file,
+                    found_text,
+                });
             }
         }
     }
 
-    /// Whether a killed run had left its mark.
+    /// Whether [`Self::acquire`] has found the mark of a killed run.
     pub(crate) fn was_killed(&self) -> bool {
         self.found_text
             .as_ref()
             .is_some_and(|text| text.starts_with(PID_PREFIX))
     }
 
-    /// Marks the folder as in use by this process.
+    /// Marks the folder as in use by this process. Call it once, after [`Self::acquire`].
     ///
     /// # Errors
     /// If the mark cannot be written.
     pub(crate) fn mark_running(&mut self) -> io::Result<()> {
-        self.mark.set_len(0)?;
-        self.mark
+        self.running_file.set_len(0)?;
+        // The mark of a killed run has been read to its end, and a write there would leave a gap of zero bytes.
+        self.running_file.rewind()?;
+        self.running_file
             .write_all(format!("{PID_PREFIX}{}\n", std::process::id()).as_bytes())
     }
 
-    /// Releases a folder that was not used, and leaves it as it was found.
+    /// Releases a folder that was not used, and leaves its content as it was found. Not after [`Self::mark_running`].
     pub(crate) fn abandon(self) {
         if self.found_text.is_none() {
             // The caller reports why it abandons the folder; an error from here would hide that.
@@ -106,17 +115,17 @@ impl FolderLock {
     }
 }
 
-/// The start of a mark's text.
+/// The start of the text in `RUNNING`.
 const PID_PREFIX: &str = "pid ";
 
 /// The status of the run in `folder`.
 pub(crate) fn status(folder: &Path) -> FolderStatus {
-    let Ok(mark) = File::open(folder.join(RUNNING_FILE)) else {
+    let Ok(running_file) = File::open(folder.join(RUNNING_FILE)) else {
         return FolderStatus::Finished;
     };
     // A shared lock, so that two readers do not take each other for a run.
-    match mark.try_lock_shared() {
-        Err(TryLockError::WouldBlock) => FolderStatus::Running(read_pid(&mark)),
+    match running_file.try_lock_shared() {
+        Err(TryLockError::WouldBlock) => FolderStatus::Running(read_pid(&running_file)),
         Ok(()) | Err(TryLockError::Error(_)) => FolderStatus::Killed,
     }
 }
@@ -131,15 +140,16 @@ fn in_use_error(folder: &Path, pid: Option<u32>) -> String {
     )
 }
 
-fn read_text(mut mark: &File) -> String {
+fn read_text(mut running_file: &File) -> String {
     let mut text = String::new();
     // Text that is not UTF-8 is not a mark of this program and counts as empty.
-    let _unread = io::Read::read_to_string(&mut mark, &mut text).is_err();
+    let _unread = io::Read::read_to_string(&mut running_file, &mut text).is_err();
     text
 }
 
-fn read_pid(mark: &File) -> Option<u32> {
-    read_text(mark).strip_prefix(PID_PREFIX)?.trim().parse().ok()
+/// The process id in `RUNNING`, read from the current position of the file.
+fn read_pid(running_file: &File) -> Option<u32> {
+    read_text(running_file).strip_prefix(PID_PREFIX)?.trim().parse().ok()
 }
 
 /// Whether `path` leads to the open file `file`.
@@ -222,5 +232,20 @@ mod tests {
             .expect("free")
             .release()
             .expect("removable");
+    }
+
+    #[test]
+    fn each_kill_of_a_resumed_run_is_recognised() {
+        let folder = LockTestFolder::new("twice");
+        for kills in 0..3 {
+            let mut lock = FolderLock::acquire(&folder.0).expect("free");
+            assert_eq!(lock.was_killed(), kills > 0, "after {kills} kills");
+            lock.mark_running().expect("writable");
+            let mark = fs::read_to_string(folder.0.join(RUNNING_FILE)).expect("there");
+            assert_eq!(mark, format!("pid {}\n", std::process::id()), "after {kills} kills");
+            // A killed process leaves its mark, and the kernel drops the lock.
+            drop(lock);
+            assert_eq!(status(&folder.0), FolderStatus::Killed);
+        }
     }
 }

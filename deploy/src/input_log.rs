@@ -18,9 +18,9 @@ use reveille_lab::external_inputs::{self, ExternalInput, ExternalInputs};
 
 use crate::runtime::now;
 
-/// The file name of the log in a run folder.
+/// The file name of the log in a run folder; part of the documented layout (`docs/results.md`) and of error texts.
 pub(crate) const INPUT_LOG_FILE: &str = "inputs.log";
-/// The error for a log with inputs that do not occur in the run.
+/// The error for a log with inputs that do not occur in the run: found at the end of the run or replay.
 pub(crate) const MISMATCH: &str = "inputs.log names a removal or a decision that does not occur in this run; use the \
     log of a run with this scenario";
 /// Time between two syncs of decisions to the disk.
@@ -48,7 +48,7 @@ impl InputLog {
         }
     }
 
-    /// Appends an input.
+    /// Appends an input. Call it before the run acts on the input.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -62,7 +62,7 @@ impl InputLog {
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Appends several inputs, before the run starts.
+    /// Appends several inputs, before the run starts; creates no file without inputs.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -101,7 +101,8 @@ impl InputLog {
         Ok(())
     }
 
-    /// Opens the file after its last whole line, and writes the first line of a new one.
+    /// Opens the file after its last whole line, without checking that it belongs to this run. Writes the first line of
+    /// a new one.
     fn open(&self) -> io::Result<File> {
         let mut options = OpenOptions::new();
         let mut file = options

@@ -1,6 +1,7 @@
 //! The key of a run: its file (`--key-file`) and its way to child processes. It allows a client to control the clock,
-//! and to run devices if only members may. A key file must not be readable by other users. Policy processes read
-//! [`KEY_VARIABLE`] too (`docs/policy-port.md`, `python/reveille/policy_client.py`).
+//! to act on devices and to decide, and to run devices under `up` and `bs --key-file`. `docs/command-line.md` lists the
+//! access rules. A key file must not be readable by other users. Policy processes read [`KEY_VARIABLE`] too
+//! (`docs/policy-port.md`, `python/reveille/policy_client.py`).
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write};
@@ -15,20 +16,20 @@ use reveille_common::secret::Secret;
 /// The environment variable that passes the run's key to device and policy processes.
 pub(crate) const KEY_VARIABLE: &str = "REVEILLE_KEY";
 
-/// Reads the key in `path`.
+/// Reads the key in `path`, which `--key-file` names.
 ///
 /// # Errors
 /// If there is no key, or other users may read it.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
     let option = || format!("--key-file {}", path.display());
-    let found = fs::metadata(path).map_err(|error| {
+    let metadata = fs::metadata(path).map_err(|error| {
         let cause = describe_read_error(
             &error,
             "name the key file of the base station, which `bs --key-file` creates",
         );
         anyhow!("{}: {cause}", option())
     })?;
-    let mode = found.permissions().mode() & 0o777;
+    let mode = metadata.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
         bail!("{}: other users may read it (mode {mode:o}); `chmod 600` it", option());
     }
@@ -36,7 +37,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
     text.trim().parse().with_context(option)
 }
 
-/// Reads the key in `path`, which is created if missing.
+/// Reads the key in `path`, which `--key-file` of `bs` names; the file is created if missing.
 ///
 /// # Errors
 /// If it can neither be read nor created.
@@ -68,7 +69,7 @@ pub(crate) fn read_or_create(path: &Path) -> anyhow::Result<Secret> {
     }
 }
 
-/// The key that the parent process passed to this one.
+/// The key that the parent process passed to this one; `None` without a key, or if it is invalid.
 pub(crate) fn inherited() -> Option<Secret> {
     std::env::var(KEY_VARIABLE).ok()?.parse().ok()
 }

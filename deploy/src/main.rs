@@ -53,10 +53,10 @@ use runtime::{CLIENT_WORKERS, SERVER_WORKERS, drive};
 
 fn main() -> ExitCode {
     exit::keep_panic_messages();
-    let (args, renamed) = cli::former::replace_former_names(std::env::args_os());
+    let (args, rename_warnings) = cli::former::replace_former_names(std::env::args_os());
     let cli = Cli::try_parse_from(&args).unwrap_or_else(|error| explain_misplaced(error, Cli::command(), &args).exit());
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
-    for warning in renamed {
+    for warning in rename_warnings {
         tracing::warn!("{warning}");
     }
     match run(cli) {
@@ -69,7 +69,7 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
-    let log = cli.log_options();
+    let log_options = cli.log_options();
     match cli.command {
         Command::Scenario(command) => commands::scenario::run(&command),
         Command::Run(args) => commands::run::run(&args),
@@ -77,7 +77,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Train(command) => commands::train::run(&command),
         Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
-        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log)),
+        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log_options)),
         Command::Bs(args) => drive(SERVER_WORKERS, commands::bs::run(&args)),
         Command::Device(args) => {
             // Before any runtime or session: it replaces this process by one with another environment.

@@ -1,5 +1,6 @@
 //! The HTTP server for the metrics of a run (`--metrics`), in the Prometheus and OpenMetrics text formats. The metrics
-//! are in `view/src/metrics.rs`. The dashboard uses the checks of address and host too.
+//! are in `view/src/metrics.rs`; `run_watchers` starts the server. The dashboard uses the checks of address and host
+//! too. `cli` and `docs/command-line.md` repeat the address in the error text, which is the default of `--metrics`.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -20,11 +21,11 @@ use tokio::task::JoinHandle;
 use crate::display::note;
 use crate::runtime;
 
-/// Longest wait of a request for the count of the devices.
+/// Longest wait of a request for a new count of the devices by state ([`PrometheusMetrics::request_device_count`]).
 const COUNT_PATIENCE: Duration = Duration::from_millis(250);
 /// Longest wait of a shutdown for the current requests.
 const SHUTDOWN_PATIENCE: Duration = Duration::from_secs(1);
-/// Interval at which a request looks for that count.
+/// Time between two checks of a request for the new count of the devices.
 const COUNT_POLL: Duration = Duration::from_millis(2);
 const OPENMETRICS_TYPE: &str = "application/openmetrics-text";
 
@@ -69,8 +70,8 @@ pub(crate) struct MetricsServer {
 impl MetricsServer {
     /// Refuses new requests, and returns once the current ones have their responses.
     pub(crate) async fn shut_down(self) {
-        let has_failed = self.shutdown.send(()).is_err();
-        if !has_failed {
+        let has_stopped = self.shutdown.send(()).is_err();
+        if !has_stopped {
             let _exceeded = tokio::time::timeout(SHUTDOWN_PATIENCE, self.task).await.is_err();
         }
     }
@@ -86,9 +87,9 @@ pub(crate) async fn serve(
     metrics: Arc<PrometheusMetrics>,
     process_stats: Arc<ProcessProbe>,
 ) -> anyhow::Result<MetricsServer> {
-    let with_option = |error| listen_error("--metrics", address, &error);
-    let listener = TcpListener::bind(address).await.map_err(with_option)?;
-    let local_address = listener.local_addr().map_err(with_option)?;
+    let to_listen_error = |error| listen_error("--metrics", address, &error);
+    let listener = TcpListener::bind(address).await.map_err(to_listen_error)?;
+    let local_address = listener.local_addr().map_err(to_listen_error)?;
     note!("metrics at http://{local_address}/metrics");
     let state = MetricsState {
         metrics,
@@ -129,8 +130,8 @@ async fn check_host(State(state): State<MetricsState>, request: Request, next: N
     }
 }
 
-/// Whether a request for `host` is meant for the listener at `address`. Any name is allowed unless that is a loopback
-/// address.
+/// Whether a request for `host`, the value of its Host header, is meant for the listener at `address`. Any name is
+/// allowed unless that is a loopback address.
 pub(crate) fn is_allowed_host(host: Option<&str>, address: SocketAddr) -> bool {
     let Some(host) = host else { return false };
     if !address.ip().is_loopback() {
@@ -149,8 +150,8 @@ pub(crate) fn is_allowed_host(host: Option<&str>, address: SocketAddr) -> bool {
 
 /// Waits until the devices are counted, so that the response describes the TTI of the request. While the clock is
 /// paused or slow, the previous count must do.
-async fn wait_for_count(metrics: &PrometheusMetrics) {
-    metrics.request_count();
+async fn wait_for_device_count(metrics: &PrometheusMetrics) {
+    metrics.request_device_count();
     let requested = runtime::now();
     while metrics.is_count_pending() && requested.elapsed() < COUNT_PATIENCE {
         tokio::time::sleep(COUNT_POLL).await;
@@ -168,7 +169,7 @@ async fn serve_metrics(State(state): State<MetricsState>, request: Request) -> i
     } else {
         "text/plain; version=0.0.4; charset=utf-8"
     };
-    wait_for_count(&state.metrics).await;
+    wait_for_device_count(&state.metrics).await;
     let text = state.metrics.encode((state.process_stats)(), is_openmetrics);
     ([(header::CONTENT_TYPE, content_type)], text)
 }

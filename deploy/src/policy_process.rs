@@ -1,4 +1,5 @@
 //! The policy process that a run starts for `--policy-command`, and that ends with the run in every case.
+//! `policy_source` starts it; `main` runs [`guard`] in a separate process.
 //!
 //! ```text
 //!   base station ──starts──► guard ──starts──► /bin/sh -c COMMAND ──► …
@@ -7,8 +8,8 @@
 //! ```
 //! The kernel sends the guard the same signal if the base station ends without a signal to it, as by `kill -9`.
 //!
-//! The variables are a public interface: `docs/policy-port.md` lists them, and `python/reveille/policy_client.py` reads
-//! them.
+//! The environment variables are a public interface: `docs/policy-port.md` and the help of `--policy-command` list
+//! them, and `python/reveille/policy_client.py` reads them.
 
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
@@ -102,7 +103,8 @@ impl PolicyProcess {
         })
     }
 
-    /// Tells the supervision that the run is over: the process may end now, and is ended when this is dropped.
+    /// Notes that the run is over: the process may end now, and is ended when this is dropped. Call it before the
+    /// farewell to the policy process, or its end stops the run.
     #[must_use]
     pub(crate) fn allow_end(self) -> Self {
         self.is_over.store(true, Ordering::Relaxed);
@@ -120,7 +122,7 @@ impl Drop for PolicyProcess {
     }
 }
 
-/// A policy process as seen by its base station.
+/// A policy process as seen by the thread that supervises it.
 struct GuardedProcess {
     guard: Child,
     command: String,
@@ -130,14 +132,15 @@ struct GuardedProcess {
 
 impl GuardedProcess {
     fn supervise(mut self, progress: &RunProgress) {
-        self.watch(progress);
+        self.watch_guard(progress);
         // Ends processes that the command left behind, and a guard that hangs.
         let _gone = kill_process_group(Pid::from_child(&self.guard), Signal::KILL).is_err();
         let _reaped = self.guard.wait().is_err();
     }
 
-    /// Watches the process until it ends, or does not react to SIGTERM.
-    fn watch(&mut self, progress: &RunProgress) {
+    /// Watches the guard until it ends. After `must_end` it gets [`EXIT_TIMEOUT`], then SIGTERM; returns even if it
+    /// does not react.
+    fn watch_guard(&mut self, progress: &RunProgress) {
         while !self.must_end.load(Ordering::Relaxed) {
             if let Ok(Some(status)) = self.guard.try_wait() {
                 if !self.is_over.load(Ordering::Relaxed) {
@@ -152,16 +155,17 @@ impl GuardedProcess {
             }
             std::thread::sleep(POLL_INTERVAL);
         }
-        if !self.has_ended_within(EXIT_TIMEOUT) {
+        if !self.wait_for_guard(EXIT_TIMEOUT) {
             let _gone = kill_process(Pid::from_child(&self.guard), Signal::TERM).is_err();
             // The guard itself waits up to EXIT_TIMEOUT before it kills its group.
-            self.has_ended_within(2 * EXIT_TIMEOUT);
+            self.wait_for_guard(2 * EXIT_TIMEOUT);
         }
     }
 
-    fn has_ended_within(&mut self, timeout: Duration) -> bool {
-        let begun = now();
-        while begun.elapsed() < timeout {
+    /// Waits up to `timeout` for the guard to end. Returns whether it has ended.
+    fn wait_for_guard(&mut self, timeout: Duration) -> bool {
+        let started = now();
+        while started.elapsed() < timeout {
             if !matches!(self.guard.try_wait(), Ok(None)) {
                 return true;
             }
@@ -204,8 +208,8 @@ pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode
     }
     // This process receives the signal too, and ignores it (`SignalMode::EndsGroup`).
     kill_current_process_group(Signal::TERM)?;
-    let begun = now();
-    while begun.elapsed() < EXIT_TIMEOUT {
+    let signalled = now();
+    while signalled.elapsed() < EXIT_TIMEOUT {
         match wait(WaitOptions::NOHANG) {
             Err(Errno::CHILD) => return Ok(ExitReason::Interrupted.into()),
             Ok(None) | Err(_) => tokio::time::sleep(POLL_INTERVAL).await,

@@ -18,18 +18,19 @@ use crate::run_registry;
 
 /// The source of external decisions.
 pub(crate) struct PolicySource<'a> {
-    /// Timeout of decision requests; `None` without a policy process.
+    /// Timeout of decision requests; `None` if the run needs no policy process. `commands::bs` sends policy processes
+    /// a farewell only with a value.
     pub decision_timeout: Option<DecisionTimeout>,
-    /// The command that starts the policy process.
+    /// The command that starts the policy process; `None` if it is started by hand, or not needed.
     command: Option<&'a str>,
 }
 
-/// Returns the source of decisions in a run of `scenario`: none, the `recorded_inputs` of an earlier run, or the
-/// policy port.
+/// Selects the source of decisions in a run of `scenario`: the policy itself, the `recorded_inputs` of an earlier run,
+/// or the policy port.
 ///
 /// # Errors
 /// If the options do not apply here, or the recorded inputs cannot be replayed on the bus.
-pub(crate) fn policy_source<'a>(
+pub(crate) fn select_policy_source<'a>(
     scenario: &Scenario,
     recorded_inputs: Option<&ExternalInputs>,
     drive: &'a DriveArgs,

@@ -1,5 +1,5 @@
 //! The recording of a run to the file of `--record`, made by the process of the run. `run_watchers` starts and closes
-//! it; `view/src/recording/` defines the format.
+//! it; `view/src/recording/` defines the format. [`bundle_scenario`] also describes a run to observers on the bus.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -14,8 +14,9 @@ use crate::scenario_files::ScenarioFiles;
 
 /// The recording that `--record` requests, or none.
 pub(crate) struct RunRecording {
+    /// The recorder and the path of its file.
     recorder: Option<(Recorder, PathBuf)>,
-    quiet: bool,
+    is_quiet: bool,
 }
 
 impl RunRecording {
@@ -36,7 +37,7 @@ impl RunRecording {
                         )
                     })?;
                 }
-                let bundle = bundle(scenario)?;
+                let bundle = bundle_scenario(scenario)?;
                 let recorder = Recorder::start(path, run, &bundle);
                 let recorder = recorder.map_err(|why| anyhow!("--record {}: {why}", path.display()))?;
                 Some((recorder, path.clone()))
@@ -45,16 +46,16 @@ impl RunRecording {
         };
         Ok(Self {
             recorder,
-            quiet: args.quiet,
+            is_quiet: args.quiet,
         })
     }
 
     /// The handle that takes frames, if they are recorded.
-    pub(crate) fn recorder(&self) -> Option<RecorderHandle> {
+    pub(crate) fn handle(&self) -> Option<RecorderHandle> {
         self.recorder.as_ref().map(|(recorder, _)| recorder.handle())
     }
 
-    /// Closes the recording, with the text of the summary if the run has one.
+    /// Closes the recording, with the JSON text of the summary if the run has one. Call it after the last frame.
     ///
     /// # Errors
     /// If the recording could not be written.
@@ -65,7 +66,7 @@ impl RunRecording {
         let recorded = recorder
             .finish(summary)
             .map_err(|why| anyhow!("--record {}: {why}", path.display()))?;
-        if !self.quiet {
+        if !self.is_quiet {
             note!(
                 "recorded {} messages in {}, {:.1} MB; the run waited {:.2} s for it",
                 recorded.frames,
@@ -87,6 +88,6 @@ pub(crate) fn is_growing(path: &Path) -> bool {
 ///
 /// # Errors
 /// If a file cannot be read any more.
-pub(crate) fn bundle(scenario: &Scenario) -> anyhow::Result<ScenarioBundle> {
+pub(crate) fn bundle_scenario(scenario: &Scenario) -> anyhow::Result<ScenarioBundle> {
     Ok(ScenarioFiles::read(scenario)?.bundle(scenario))
 }

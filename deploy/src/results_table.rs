@@ -1,5 +1,5 @@
-//! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`. The
-//! README and `docs/tutorial.md` show it, and `tests/program/tutorial.rs` compares the page with the output.
+//! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`.
+//! README.md and `docs/tutorial.md` show it, and `tests/program/tutorial.rs` compares the tutorial with the output.
 
 use clap::builder::styling::Style;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -14,11 +14,11 @@ use crate::summary::{ClassSummary, Summary};
 
 /// The metrics of the results table, in its order: information, missed events and delay, energy and batteries,
 /// messages, wrong activations. A policy that wakes no device has no wake-ups per event. The first is the headline
-/// metric. `compare` uses the list too, `docs/results.md` repeats it, and the help of `--all-metrics` repeats its
-/// length.
+/// metric. `compare` uses the list too, `docs/results.md` repeats it, and the help of `--all-metrics` and
+/// [`Rows::Main`] repeat its length.
 pub(crate) const MAIN_METRICS: [&str; 10] = [
     "info_p1",
-    MISDETECTION,
+    MISDETECTION_METRIC,
     "detection_delay_ttis",
     "energy_per_device_tti",
     "mean_battery",
@@ -30,12 +30,13 @@ pub(crate) const MAIN_METRICS: [&str; 10] = [
 ];
 
 /// The metric below which the table lists the causes of missed events.
-const MISDETECTION: &str = "misdetection_pct";
+const MISDETECTION_METRIC: &str = "misdetection_pct";
 
 /// Whether a radio has a certain impairment.
 type HasImpairment = fn(&RadioSettings) -> bool;
 
-/// The metrics that are always 0 without a certain radio impairment, and whether the radio has the impairment.
+/// The metrics that are always 0 without a certain radio impairment, and whether the radio has the impairment. A new
+/// impairment of `RadioSettings` needs an entry.
 const IMPAIRMENTS: [(&str, HasImpairment); 5] = [
     ("lost_reports_pct", |radio| {
         radio.uplink_loss > 0.0 || radio.bursts.is_some()
@@ -51,7 +52,7 @@ const IMPAIRMENTS: [(&str, HasImpairment); 5] = [
 ];
 
 /// The metric of a policy that wakes devices.
-const WAKE_UPS: &str = "wake_ups_per_event";
+const WAKE_UPS_METRIC: &str = "wake_ups_per_event";
 
 /// The style of the title.
 const BOLD: Style = Style::new().bold();
@@ -69,7 +70,8 @@ pub(crate) enum Rows {
     All,
 }
 
-/// Formats the results of a run, with escape codes of colours if `is_coloured`.
+/// Formats the results of a run, with escape codes of colours if `is_coloured`. The last line has the digest.
+/// The tests keep lines to 80 columns.
 pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> String {
     let title = format!(
         "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
@@ -91,8 +93,8 @@ pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: boo
     lines.extend(format_facts(summary));
     lines.push(format_timing(summary));
     if summary.timing.late_ttis > 0 {
-        let (late, most) = (summary.timing.late_ttis, summary.timing.max_late_ms);
-        lines.push(format!("{late} TTIs began late, by at most {most:.1} ms"));
+        let (late_ttis, max_late_ms) = (summary.timing.late_ttis, summary.timing.max_late_ms);
+        lines.push(format!("{late_ttis} TTIs began late, by at most {max_late_ms:.1} ms"));
     }
     if summary.metrics.removed_pct > 0.0 {
         lines.push(format!(
@@ -119,13 +121,14 @@ fn is_cause(metric: &str) -> bool {
             .any(|cause| metric == format!("missed_{}_pct", cause.name()))
 }
 
-/// Whether `metric` is 0 unless the scenario or the command switches a feature on.
+/// Whether `metric` is 0 unless the scenario has an impairment or `--on-loss continue` has removed devices.
 fn is_optional(metric: &str) -> bool {
     metric == REMOVED_METRIC || IMPAIRMENTS.iter().any(|(name, _)| *name == metric)
 }
 
-/// Returns whether `metric` belongs to the table of a run with `radio`, in which it has this value.
-fn is_active(metric: &str, value: f64, radio: &RadioSettings) -> bool {
+/// Returns whether `metric`, if [`is_optional`], has a row in the table of a run with `radio`, in which it has this
+/// value. True for every other metric.
+fn has_row(metric: &str, value: f64, radio: &RadioSettings) -> bool {
     let impairment = IMPAIRMENTS.iter().find(|(name, _)| *name == metric);
     impairment.is_none_or(|(_, has_impairment)| has_impairment(radio)) && (metric != REMOVED_METRIC || value > 0.0)
 }
@@ -141,13 +144,13 @@ fn format_metrics(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> Strin
     }
     let heading = |text: &str| Cell::new(text).add_attribute(Attribute::Bold);
     table.set_header(["metric", "value", "unit"].map(heading));
-    let all = summary.metrics.rows();
-    let row = |indent: &str, (name, value, unit): (&str, f64, &str)| {
+    let metric_rows = summary.metrics.rows();
+    let format_row = |indent: &str, (name, value, unit): (&str, f64, &str)| {
         let cells = [format!("{indent}{name}"), format_number(value), unit.to_owned()].map(Cell::new);
         if name == MAIN_METRICS[0] {
             return cells.map(|cell| cell.add_attribute(Attribute::Bold));
         }
-        let is_missed = name == MISDETECTION || is_cause(name);
+        let is_missed = name == MISDETECTION_METRIC || is_cause(name);
         cells.map(|cell| {
             if is_missed && value > 0.0 {
                 cell.fg(Color::Yellow)
@@ -157,31 +160,34 @@ fn format_metrics(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> Strin
         })
     };
     let wakes = registry::named(summary.policy).is_none_or(|policy| policy.wakes);
-    let main = MAIN_METRICS
+    let main_names = MAIN_METRICS
         .iter()
-        .filter(|name| wakes || rows == Rows::All || **name != WAKE_UPS);
-    for found in main.filter_map(|name| all.iter().find(|row| row.0 == *name)) {
-        table.add_row(row("", *found));
-        if found.0 == MISDETECTION && rows == Rows::Main {
-            for cause in all.iter().filter(|(name, value, _)| is_cause(name) && *value > 0.0) {
-                table.add_row(row("  ", *cause));
+        .filter(|name| wakes || rows == Rows::All || **name != WAKE_UPS_METRIC);
+    for main_row in main_names.filter_map(|name| metric_rows.iter().find(|row| row.0 == *name)) {
+        table.add_row(format_row("", *main_row));
+        if main_row.0 == MISDETECTION_METRIC && rows == Rows::Main {
+            for cause_row in metric_rows
+                .iter()
+                .filter(|(name, value, _)| is_cause(name) && *value > 0.0)
+            {
+                table.add_row(format_row("  ", *cause_row));
             }
         }
     }
     match rows {
         Rows::Main => {
-            for (name, value, unit) in all {
-                if is_optional(name) && is_active(name, value, &summary.radio) {
-                    table.add_row(row("", (name, value, unit)));
+            for (name, value, unit) in metric_rows {
+                if is_optional(name) && has_row(name, value, &summary.radio) {
+                    table.add_row(format_row("", (name, value, unit)));
                 }
             }
         }
         Rows::All => {
             for group in MetricGroup::ALL {
                 table.add_row([heading(&group.title().to_uppercase())]);
-                for (metric, found) in Metrics::ALL.iter().zip(all) {
-                    if metric.group == group && !MAIN_METRICS.contains(&found.0) {
-                        table.add_row(row("  ", found));
+                for (metric, metric_row) in Metrics::ALL.iter().zip(metric_rows) {
+                    if metric.group == group && !MAIN_METRICS.contains(&metric_row.0) {
+                        table.add_row(format_row("  ", metric_row));
                     }
                 }
             }
@@ -234,7 +240,7 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
-/// Formats the speed of the run and its hosts.
+/// Formats the speed of the run, and its hosts and their memory if any.
 fn format_timing(summary: &Summary<'_>) -> String {
     let timing = &summary.timing;
     let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];
@@ -313,7 +319,7 @@ mod tests {
         assert_eq!(without_causes, MAIN_METRICS);
         let (_, [random_results, _]) = run_quick(&["policy.name=random"]);
         assert!(
-            !metric_names(&random_results).contains(&WAKE_UPS),
+            !metric_names(&random_results).contains(&WAKE_UPS_METRIC),
             "random wakes no device: {random_results}"
         );
         let shown = metric_names(&all);

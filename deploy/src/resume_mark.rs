@@ -1,7 +1,6 @@
 //! The resume mark of a run: `resume.json`, rewritten every second during the run, as `docs/running.md` and the help of
 //! `--resume` state. [`ResumeMarkWriter`] writes it as an observer, and checks that the replay of a resumed run
-//! reproduces it.
-//! `lab/src/resume_mark.rs` defines its content.
+//! reproduces it. `lab/src/resume_mark.rs` defines its content. `run` and `bs` observe with it.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -22,8 +21,8 @@ pub(crate) const RESUME_MARK_FILE: &str = "resume.json";
 /// Time between two marks.
 const MARK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Reads the mark in a run folder; `None` without a readable mark, as the run was killed before its first
-/// mark, or if the mark is torn. The run then resumes from TTI 0.
+/// Reads the mark in a run folder; `None` if the file cannot be read, usually because the run was killed before its
+/// first mark, or if the mark is torn. The run then resumes from TTI 0.
 ///
 /// # Errors
 /// If the mark belongs to another scenario or version, or is impossible in the run.
@@ -52,7 +51,8 @@ pub(crate) struct ResumeMarkWriter {
 }
 
 impl ResumeMarkWriter {
-    /// Creates a writer of marks in `folder`; a resumed run must reproduce `expected`.
+    /// Creates a writer of marks in `folder`. A resumed run must reproduce `expected`, with the `window` of that mark.
+    /// The writer must observe the run from TTI 0, replay included.
     pub(crate) fn new(folder: &Path, scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
         Self {
             path: folder.join(RESUME_MARK_FILE),
@@ -78,12 +78,12 @@ impl ResumeMarkWriter {
         Ok(())
     }
 
-    /// Writes a last mark; removes the mark of a `complete` run.
+    /// Writes a last mark at the end of the run; removes the mark of a complete run.
     ///
     /// # Errors
     /// If the mark cannot be written or removed.
-    pub(crate) fn finish(&self, complete: bool) -> anyhow::Result<()> {
-        let result = if complete {
+    pub(crate) fn finish(&self, is_complete: bool) -> anyhow::Result<()> {
+        let result = if is_complete {
             match fs::remove_file(&self.path) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
                 Ok(()) | Err(_) => Ok(()),
@@ -94,6 +94,7 @@ impl ResumeMarkWriter {
         result.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
+    /// Replaces the mark. Its part file is in `run_folder::PART_FILES`.
     fn write(&self) -> std::io::Result<()> {
         // Not synced, since it is written often: a torn mark only means that a resumed run starts at TTI 0.
         let mut file = open_part_file(&self.path, |part| File::create(part))?;
@@ -105,9 +106,9 @@ impl ResumeMarkWriter {
 
 impl Observer for ResumeMarkWriter {
     fn notify(&mut self, notification: &Notification<'_>) {
-        let is_closed = self.tracker.notify(notification);
+        let is_tti_closed = self.tracker.notify(notification);
         // A mark names a closed TTI. During a replay the old mark stays until the run has passed it.
-        if !is_closed || self.tracker.is_mark_ahead() || self.tracker.has_diverged() || now() < self.next_write {
+        if !is_tti_closed || self.tracker.is_mark_ahead() || self.tracker.has_diverged() || now() < self.next_write {
             return;
         }
         self.next_write = now() + MARK_INTERVAL;
@@ -119,6 +120,7 @@ impl Observer for ResumeMarkWriter {
         self.has_failed = write_error.is_some();
     }
 
+    /// Ends a replay that diverges from its mark.
     fn window_closed(&mut self, _: &WindowRecord) -> bool {
         !self.tracker.has_diverged()
     }

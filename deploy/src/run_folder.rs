@@ -1,4 +1,5 @@
-//! The run folder: the files that a run writes. The names and contents are documented in `docs/results.md`.
+//! The run folder: the files that a run writes. The names and contents are documented in `docs/results.md`. `run`, `up`
+//! and `bs` create it, `run_reader` reads it.
 //!
 //! A new file needs an entry in `remove_run`. It also needs one in `RunFolder::reopen` if it must not survive the start
 //! of a resumed run, and one in `PART_FILES` if `reveille_lab::io::replace` writes it.
@@ -41,6 +42,7 @@ use crate::scenario_files::{self, ScenarioFiles};
 use crate::summary::Summary;
 use crate::table_writer::TableWriter;
 
+/// The reason why a run failed.
 const FAILED_FILE: &str = "FAILED";
 /// The resolved scenario.
 pub(crate) const SCENARIO_FILE: &str = "scenario.toml";
@@ -63,7 +65,8 @@ const PART_FILES: [&str; 6] = [
     "devices.csv.part",
 ];
 
-/// The folder of an active run.
+/// The folder of an active run, which ends with [`Self::finish`] or [`Self::fail`]. A drop before that marks the run as
+/// failed.
 pub(crate) struct RunFolder {
     path: PathBuf,
     /// The lock, until the run has ended.
@@ -141,7 +144,7 @@ impl RunFolder {
         &self.path
     }
 
-    /// The last part of its path, as a run name.
+    /// The last part of its path, changed to a valid run name.
     pub(crate) fn name(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let to_name_char = |c: char| {
@@ -161,7 +164,8 @@ impl RunFolder {
         if name.is_empty() { "run".to_owned() } else { name }
     }
 
-    /// Writes the devices and the summary, and removes the running mark.
+    /// Writes the devices and the summary, and removes the running mark. Call [`Self::write_learned`] and close the
+    /// recording first: with the summary the folder counts as complete.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -172,7 +176,7 @@ impl RunFolder {
         summary: &Summary<'_>,
     ) -> anyhow::Result<()> {
         let write_error = || format!("cannot write in the run folder {}", self.path.display());
-        // The summary comes after all other files: with it the folder counts as complete.
+        // The summary comes after all other files.
         self.tables.flush().with_context(write_error)?;
         self.write_devices(scenario, outcome).with_context(write_error)?;
         replace(&self.path.join(SUMMARY_FILE), summary.to_json()?.as_bytes()).with_context(write_error)?;
@@ -182,7 +186,10 @@ impl RunFolder {
             .with_context(write_error)
     }
 
-    /// Writes the tables that the policy learned in the run, if it learns.
+    /// Writes the tables that the policy learned in the run, if it learns. Call it before [`Self::finish`].
+    ///
+    /// # Errors
+    /// If the file cannot be written.
     pub(crate) fn write_learned(&self, scenario: &Scenario, outcome: &RunOutcome) -> anyhow::Result<()> {
         let Some(learned) = learned_tables_of(scenario, outcome) else {
             return Ok(());
@@ -201,7 +208,7 @@ impl RunFolder {
         Ok(replace(&self.path.join(DEVICES_FILE), &rows)?)
     }
 
-    /// Marks the run as failed, with the reason.
+    /// Marks the run as failed, with the reason, and removes the running mark.
     pub(crate) fn fail(mut self, reason: &anyhow::Error) {
         self.mark_failed(&format!("{reason:#}\n"));
     }
@@ -273,7 +280,7 @@ fn begin_tables(path: &Path) -> anyhow::Result<TableWriter> {
     TableWriter::begin(path, &tables)
 }
 
-/// Whether the run in a folder is complete.
+/// Whether the run in a folder is complete, by the `status` of its summary ([`Summary::status`]).
 fn is_complete(path: &Path) -> bool {
     let text = fs::read_to_string(path.join(SUMMARY_FILE)).unwrap_or_default();
     serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|summary| summary["status"] == "complete")
@@ -330,7 +337,8 @@ pub(crate) fn failure(folder: &Path) -> Option<String> {
     text.lines().next().map(str::to_owned)
 }
 
-/// Returns an error for a folder with content, unless it holds a run that may be replaced.
+/// Returns an error for a folder with content, unless it holds a run that may be replaced: with `force`, a folder with
+/// `scenario.toml`, or with the mark of a run that `was_killed`.
 fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> {
     let Ok(files) = fs::read_dir(path) else {
         return Ok(());

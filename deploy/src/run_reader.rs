@@ -1,5 +1,6 @@
 //! Run folders as input: `inspect misses`, `figures misses` and `compare` read the files that `run_folder` writes.
-//! Columns are found by name (`run_tables`), since tables of other versions have others.
+//! Columns are found by the names in `run_tables`, since other versions of Reveille write other columns; fields of
+//! `summary.json` are found by the names in `summary`. A renamed column or field compiles and is missed here.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -73,14 +74,14 @@ impl RunReader {
     }
 
     /// Prints a note if the run has no summary: its tables then cover only a part of it.
-    fn report_unfinished(&self) {
-        if let Some(state) = self.unfinished() {
+    fn note_if_unfinished(&self) {
+        if let Some(state) = self.unfinished_state() {
             note!("{}: {state}; its tables cover the TTIs so far", self.path.display());
         }
     }
 
     /// Describes the state of a run without a summary; `None` with one, which an interrupted run has too.
-    pub(crate) fn unfinished(&self) -> Option<String> {
+    pub(crate) fn unfinished_state(&self) -> Option<String> {
         if self.summary.is_some() {
             return None;
         }
@@ -131,7 +132,7 @@ impl RunReader {
                 events.column_index(column)?;
             }
         }
-        self.report_unfinished();
+        self.note_if_unfinished();
         let mut misses = Misses::new(self.scenario.clone());
         let mut missed = Vec::new();
         for row in events.rows() {
@@ -177,7 +178,7 @@ impl RunReader {
     }
 }
 
-/// Reads a missed event, without its nearest device.
+/// Reads a missed event. Its nearest device and distance are placeholders that the caller replaces.
 fn missed_event(row: &Row<'_>, start: Tti) -> anyhow::Result<MissedEvent> {
     let cause = match row.text("miss_cause") {
         None | Some("") => None,

@@ -1,6 +1,7 @@
 //! The registry of runs on this machine, so that `inspect`, `dashboard` and `clock` find a run without an address. `bs`
 //! and `up` register; a registered key is only for the same user, so the folder must belong to that user alone.
-//! `python/reveille/policy_client.py` reads the same folder and the fields of [`RegistryEntry`].
+//! `python/reveille/policy_client.py` repeats the rules for the folder, its checks, and the fields of
+//! [`RegistryEntry`].
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -15,11 +16,12 @@ use serde::{Deserialize, Serialize};
 use crate::cli::TargetArgs;
 use crate::key;
 
-/// The registered address of a run.
+/// The content of an entry: a JSON file that holds the address of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct RegistryEntry {
     run: String,
     endpoint: String,
+    /// The process of the base station, which tells whether the entry is stale.
     pid: i32,
     /// The run's key.
     key: Option<String>,
@@ -136,18 +138,21 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             Some(run) => bail!("no run {run} on this machine; for a run on another machine give --connect as well"),
             None => bail!("no run on this machine; start one with `reveille up`, or give --connect and --run"),
         },
-        many => {
-            let names: Vec<String> = many.iter().map(|e| format!("{} at {}", e.run, e.endpoint)).collect();
+        entries => {
+            let names: Vec<String> = entries
+                .iter()
+                .map(|entry| format!("{} at {}", entry.run, entry.endpoint))
+                .collect();
             bail!(
                 "there are {} runs on this machine; choose one with --run: {}",
-                many.len(),
+                entries.len(),
                 names.join(", ")
             )
         }
     }
 }
 
-/// The key of a run given by its address, if it runs on this machine.
+/// The registered key of a run given by its address, if it runs on this machine. An unreadable registry has no key.
 fn key_of(endpoint: &str, run: &RunName) -> Option<Secret> {
     let live_entries = live_entries().ok()?;
     let entry = live_entries

@@ -1,8 +1,9 @@
 //! The rows of the tables in a run folder: events, windows of TTIs, devices.
 //!
-//! `run_folder` writes them. The columns and their order are a file format, documented in `docs/results.md`; `compare`,
-//! `inspect misses`, `run_reader` and `tests/recompute/` read columns by name.
-//! Energies are in units; whole numbers of micro-units are written exactly, with six decimals.
+//! `run_folder` writes them. The columns and their order are a file format without a version, documented in
+//! `docs/results.md`; `compare`, `inspect misses`, `run_reader` and `tests/recompute/` read columns by name. Each row
+//! has its cells in the order of its columns, of which the compiler checks only the number, and for windows not even
+//! that. Energies of events and devices are in units, exact to the micro-unit, with six decimals.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
@@ -80,8 +81,8 @@ const WINDOW_EVENTS: [&str; 6] = [
 pub(crate) fn event_row(record: &EventRecord, positions: &Buckets) -> [String; EVENT_COLUMNS.len()] {
     let tally = record.tally;
     let nearest = positions.nearest(record.epicentre, 1);
-    let (distance, device) = nearest.first().map_or_else(Default::default, |(squared, device)| {
-        (squared.sqrt().to_string(), device.to_string())
+    let (nearest_m, nearest_device) = nearest.first().map_or_else(Default::default, |(squared_m2, device)| {
+        (squared_m2.sqrt().to_string(), device.to_string())
     });
     [
         record.event.0.to_string(),
@@ -99,14 +100,14 @@ pub(crate) fn event_row(record: &EventRecord, positions: &Buckets) -> [String; E
         record
             .miss_cause
             .map_or_else(String::new, |cause| cause.name().to_owned()),
-        device,
-        distance,
+        nearest_device,
+        nearest_m,
     ]
 }
 
 /// The row of a device, over the measured TTIs.
 pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String; DEVICE_COLUMNS.len()] {
-    let (sums, spent) = (record.ledger.measured, record.ledger.measured.spent);
+    let (measured, spent) = (record.ledger.measured, record.ledger.measured.spent);
     let EventActivity {
         reports,
         wake_ups,
@@ -122,19 +123,19 @@ pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String;
         format_units(spent.sensing),
         format_units(spent.sleep),
         format_units(spent.report),
-        format_units(sums.harvested),
-        format_units(sums.overflow),
+        format_units(measured.harvested),
+        format_units(measured.overflow),
         reports.to_string(),
         wake_ups.to_string(),
         received_wake_ups.to_string(),
         wrong_activations.to_string(),
-        sums.sensing_ttis.to_string(),
-        sums.failed_ttis.to_string(),
-        sums.low_ttis.to_string(),
-        sums.unpowered_ttis.to_string(),
+        measured.sensing_ttis.to_string(),
+        measured.failed_ttis.to_string(),
+        measured.low_ttis.to_string(),
+        measured.unpowered_ttis.to_string(),
         record.ledger.longest_outage.to_string(),
-        format_units(sums.initial),
-        format_units(sums.battery),
+        format_units(measured.initial),
+        format_units(measured.battery),
     ]
 }
 
@@ -146,9 +147,9 @@ pub(crate) fn window_columns() -> impl Iterator<Item = &'static str> {
         .chain(WINDOW_EVENTS)
 }
 
-/// The row of a window of TTIs with `devices` devices.
+/// The row of a window of TTIs with `devices` devices, removed ones included.
 pub(crate) fn window_row(devices: u32, record: &WindowRecord) -> impl Iterator<Item = String> {
-    let sums = record.events;
+    let event_sums = record.events;
     let totals = Totals {
         devices: u64::from(devices),
         ttis: record.end - record.first,
@@ -160,20 +161,22 @@ pub(crate) fn window_row(devices: u32, record: &WindowRecord) -> impl Iterator<I
     let times = [record.first, record.end].map(|tti| tti.to_string());
     let means = WINDOW_METRICS.map(|name| metrics.value(name).unwrap_or(f64::NAN).to_string());
     let events = [
-        sums.events.to_string(),
-        sums.misdetected.to_string(),
-        sums.delay_ttis.to_string(),
-        format_information(sums.information_pico),
-        sums.wake_ups.to_string(),
-        sums.wrong_activations.to_string(),
+        event_sums.events.to_string(),
+        event_sums.misdetected.to_string(),
+        event_sums.delay_ttis.to_string(),
+        format_information(event_sums.information_pico),
+        event_sums.wake_ups.to_string(),
+        event_sums.wrong_activations.to_string(),
     ];
     times.into_iter().chain(means).chain(events)
 }
 
+/// Formats a sum of information, in parts of 1 / [`PICO_PER_INFORMATION`], as a plain number.
 fn format_information(pico: u128) -> String {
     (pico as f64 / PICO_PER_INFORMATION).to_string()
 }
 
+/// Formats an energy in units, exactly.
 fn format_units(energy: Energy) -> String {
     // In whole numbers: an f64 would round a large energy.
     let micro = energy.micro();

@@ -1,5 +1,6 @@
 //! The watchers of a run within its process: its recording (`--record`) and its metrics (`--metrics`). `run`, `up` and
-//! `bs` start them before the first TTI and pass them every frame. They never change the run's results.
+//! `bs` start them before the first TTI and pass them every frame. They never change the run's results, but a recording
+//! that fails ends the run early ([`RunWatchers::recording_failure_check`]).
 
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ use crate::recording::{RunRecording, is_growing};
 /// The watchers that the command line requests.
 pub(crate) struct RunWatchers {
     recording: RunRecording,
+    /// The handle of `recording`, if there is a recording.
     recorder: Option<RecorderHandle>,
     metrics: Option<Arc<PrometheusMetrics>>,
     metrics_server: Option<MetricsServer>,
@@ -25,7 +27,7 @@ pub(crate) struct RunWatchers {
 /// Checks, before a run folder exists, that the watchers requested by `args` can be started.
 ///
 /// # Errors
-/// If the recording exists already, its folder is missing, or the metrics address is not available.
+/// If the recording exists and must not be replaced, its folder is missing, or the metrics address is not available.
 pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.record {
         let may_replace = args.force && path.is_file();
@@ -63,7 +65,7 @@ impl RunWatchers {
         process_stats: impl Fn() -> ProcessStats + Send + Sync + 'static,
     ) -> anyhow::Result<Self> {
         let recording = RunRecording::start(args, run, scenario)?;
-        let recorder = recording.recorder();
+        let recorder = recording.handle();
         let (metrics, metrics_server) = match &args.metrics {
             Some(address) => {
                 let metrics = PrometheusMetrics::new(run, scenario);
@@ -103,18 +105,19 @@ impl RunWatchers {
         })
     }
 
-    /// The observer for metrics that frames do not contain.
+    /// The observer for metrics that frames do not contain, if metrics are served. The run must notify it.
     pub(crate) fn metrics_observer(&self) -> Option<MetricsObserver> {
         self.metrics.clone().map(MetricsObserver)
     }
 
-    /// Returns a function that tells whether the recording has failed.
+    /// Returns a function that returns whether the recording has failed. At the end of a window, `run` and `bs` end the
+    /// run if it has.
     pub(crate) fn recording_failure_check(&self) -> impl Fn() -> bool + use<> {
         let recorder = self.recorder.clone();
         move || recorder.as_ref().is_some_and(|recorder| recorder.failure().is_some())
     }
 
-    /// Ends the watchers. Closes the recording with the text of the summary if the run has one.
+    /// Ends the watchers. Closes the recording with the JSON text of the summary if the run has one.
     ///
     /// # Errors
     /// If the recording could not be written.

@@ -9,16 +9,17 @@ use anyhow::Context;
 use reveille_bs::scenario::{Scenario, load};
 use reveille_view::recording::ScenarioBundle;
 
-/// The subfolder of the copies in a run folder.
+/// The subfolder of the copies in a run folder. Existing run folders and recordings name it, and `docs/results.md`.
 pub(crate) const FOLDER: &str = "scenario-files";
 
 /// In-memory copies of the scenario files: writing the run folder may overwrite an original.
 pub(crate) struct ScenarioFiles(Vec<ScenarioFile>);
 
 struct ScenarioFile {
+    /// The path of the original, as the scenario resolves it.
     path: PathBuf,
-    /// The name of the copy.
-    name: String,
+    /// The file name of the copy, unique among the copies.
+    copy_name: String,
     bytes: Vec<u8>,
 }
 
@@ -31,10 +32,10 @@ impl ScenarioFiles {
         let mut files: Vec<ScenarioFile> = Vec::new();
         for path in scenario.files() {
             let bytes = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-            let is_taken = |name: &str| files.iter().any(|file| file.name == name);
+            let is_taken = |name: &str| files.iter().any(|file| file.copy_name == name);
             // The copies of files from several folders share one folder, so their names must differ.
-            let name = free_name(&path, is_taken);
-            files.push(ScenarioFile { path, name, bytes });
+            let copy_name = free_name(&path, is_taken);
+            files.push(ScenarioFile { path, copy_name, bytes });
         }
         Ok(Self(files))
     }
@@ -51,10 +52,11 @@ impl ScenarioFiles {
         fs::create_dir_all(&folder)?;
         self.0
             .iter()
-            .try_for_each(|file| fs::write(folder.join(&file.name), &file.bytes))
+            .try_for_each(|file| fs::write(folder.join(&file.copy_name), &file.bytes))
     }
 
-    /// Checks that `scenario.toml` of the run folder, at `path`, gives `scenario` when read with the copied files.
+    /// Checks that `scenario.toml` of the run folder, at `path`, reads as `scenario` with the copied files. Call it
+    /// after both are written.
     ///
     /// # Errors
     /// If a scenario file changed after it was read.
@@ -74,7 +76,7 @@ impl ScenarioFiles {
 
     /// Bundles `scenario` with its files.
     pub(crate) fn bundle(&self, scenario: &Scenario) -> ScenarioBundle {
-        let file = |file: &ScenarioFile| (format!("{FOLDER}/{}", file.name), file.bytes.clone());
+        let file = |file: &ScenarioFile| (format!("{FOLDER}/{}", file.copy_name), file.bytes.clone());
         ScenarioBundle {
             text: self.to_toml(scenario),
             referenced_files: self.0.iter().map(file).collect(),
@@ -85,7 +87,7 @@ impl ScenarioFiles {
     pub(crate) fn to_toml(&self, scenario: &Scenario) -> String {
         scenario.to_toml_with_files(|path| {
             let copy = self.0.iter().find(|file| file.path == path);
-            copy.map(|file| format!("{FOLDER}/{}", file.name))
+            copy.map(|file| format!("{FOLDER}/{}", file.copy_name))
         })
     }
 }

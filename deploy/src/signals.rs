@@ -4,6 +4,7 @@
 //! A command installs its handlers once, before it prints anything or creates a folder, and keeps them to its end.
 //! Before that, the kernel ends it at a signal. A separate thread receives every signal, so that neither a later wait
 //! nor a busy runtime misses one. Every command whose work takes long uses [`Signals`]; its exit code is in `exit`.
+//! `docs/command-line.md` lists the effects by command.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,7 +44,7 @@ pub(crate) struct Signals {
 }
 
 impl Signals {
-    /// Installs the handlers for the life of the process.
+    /// Installs the handlers for the life of the process. Call it once: a second call would react to each signal twice.
     ///
     /// # Errors
     /// If the handlers cannot be installed, or their thread cannot be started.
@@ -105,16 +106,17 @@ impl Signals {
         exit_message: impl FnOnce() -> String + Send + 'static,
     ) -> io::Result<ForcedExit> {
         let signals = self.clone();
-        let (keep_alive, is_dropped) = channel();
+        let (keep_alive, drop_receiver) = channel();
         thread::Builder::new().name("insistence".to_owned()).spawn(move || {
             // Nothing is ever sent: the channel closes when the `ForcedExit` is dropped.
-            let is_over = |timeout| is_dropped.recv_timeout(timeout) == Err(RecvTimeoutError::Disconnected);
+            let is_dropped_within =
+                |timeout| drop_receiver.recv_timeout(timeout) == Err(RecvTimeoutError::Disconnected);
             while !signals.has_arrived() {
-                if is_over(POLL_INTERVAL) {
+                if is_dropped_within(POLL_INTERVAL) {
                     return;
                 }
             }
-            if !is_over(GRACE) {
+            if !is_dropped_within(GRACE) {
                 note!("reveille: {}", exit_message());
                 ExitReason::Interrupted.exit_now();
             }
@@ -126,14 +128,14 @@ impl Signals {
 /// Ends the program soon after a signal, until this is dropped.
 pub(crate) struct ForcedExit(#[expect(dead_code, reason = "it is dropped, and nothing else")] Sender<()>);
 
-/// Runs `work`, the preparation of a run, on another thread. Returns its result, or `None` if `is_over` first; the
-/// thread then ends with the process.
+/// Runs `work`, the preparation of a run, on another thread, and blocks. Returns its result, or `None` if `should_stop`
+/// is true first; the thread then ends with the process.
 ///
 /// # Errors
 /// If the thread cannot be started, or panics.
 pub(crate) fn run_on_thread<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
-    is_over: impl Fn() -> bool,
+    should_stop: impl Fn() -> bool,
 ) -> anyhow::Result<Option<T>> {
     let (sender, receiver) = channel();
     thread::Builder::new().spawn(move || {
@@ -143,14 +145,14 @@ pub(crate) fn run_on_thread<T: Send + 'static>(
     loop {
         match receiver.recv_timeout(POLL_INTERVAL) {
             Ok(done) => return Ok(Some(done)),
-            Err(RecvTimeoutError::Timeout) if is_over() => return Ok(None),
+            Err(RecvTimeoutError::Timeout) if should_stop() => return Ok(None),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the preparation of the run has failed"),
         }
     }
 }
 
-/// Reacts to a signal.
+/// Reacts to a signal, in addition to its record in [`Signals`].
 fn react(mode: SignalMode, signal: i32, is_first: bool, is_saved: bool) {
     match mode {
         SignalMode::SavesResults if is_first && is_saved => {}
@@ -168,7 +170,8 @@ fn react(mode: SignalMode, signal: i32, is_first: bool, is_saved: bool) {
 /// Whether this process was started to ignore the closing of its terminal.
 fn is_under_nohup() -> bool {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored_mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let ignored_mask = ignored_mask.and_then(|ignored_mask| u64::from_str_radix(ignored_mask.trim(), 16).ok());
-    ignored_mask.is_some_and(|ignored_mask| ignored_mask >> (SIGHUP - 1) & 1 == 1)
+    let ignored_text = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored_mask = ignored_text.and_then(|text| u64::from_str_radix(text.trim(), 16).ok());
+    // Signal n is bit n - 1.
+    ignored_mask.is_some_and(|mask| mask >> (SIGHUP - 1) & 1 == 1)
 }

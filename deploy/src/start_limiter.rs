@@ -5,7 +5,7 @@
 
 use std::num::NonZero;
 
-/// Processes per core that may be starting at the same time.
+/// Processes per core that may be starting at the same time: started, and not yet running their devices.
 const STARTS_PER_CORE: usize = 16;
 
 /// Limits the number of starting processes.

@@ -1,13 +1,12 @@
 //! `summary.json`: the results of a run, also printed by `--json` and as a table (`results_table`).
 //!
 //! The field names are a file format (`docs/results.md`): raise [`SUMMARY_VERSION`] if one changes its meaning.
-//! `compare`, `inspect verify`, `run_reader` and `bench` read fields by name.
+//! `compare`, `inspect verify`, `run_folder`, `run_reader`, `bench`, `tests/` and `python/` read fields by name.
 
 use std::collections::BTreeMap;
 
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::scenario::Scenario;
-use reveille_common::ids::Tti;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{ClassRecord, DIGEST_VERSION, Digest, EventActivity, Metrics};
 use reveille_common::totals::Totals;
@@ -21,7 +20,7 @@ const SUMMARY_VERSION: u32 = 4;
 pub(crate) struct Summary<'a> {
     /// The run's digest.
     pub digest: Digest,
-    /// Whether the run was `complete` or `interrupted`.
+    /// Whether the run was `complete` or `interrupted`. `commands`, `results_table` and `run_folder` repeat `complete`.
     pub status: &'static str,
     /// The policy's name.
     pub policy: &'static str,
@@ -51,7 +50,7 @@ pub(crate) struct Summary<'a> {
     /// The audited part of a run over the bus: `complete`, `partial: TTI …` (the TTIs before it), or `off`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<String>,
-    /// Durations; the only part that differs between two runs of a scenario.
+    /// Durations and counters of the execution. They differ between two equal runs of a scenario, and so can `audit`.
     pub timing: Timing,
     /// Versions of the program and the formats.
     pub versions: Versions,
@@ -124,11 +123,11 @@ pub(crate) struct Timing {
     pub unexpected_messages: u64,
     /// Decisions of a policy process, under `external`.
     pub decisions: u64,
-    /// Its answers that were invalid or came after the valid one.
+    /// Answers of the policy process that were invalid or came after the valid one.
     pub decisions_refused: u64,
     /// Decision requests without an answer in time: the plan stayed the same, or no device was woken.
     pub decisions_held: u64,
-    /// Takeovers of a lost device process.
+    /// Lost device processes whose devices were taken over.
     pub losses: usize,
     /// The longest takeover, seconds.
     pub longest_loss_s: f64,
@@ -165,11 +164,7 @@ impl<'a> Summary<'a> {
             preset: &scenario.run.preset,
             policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
-            start_probability: scenario.events.mean_start_probability(
-                scenario.run.seed,
-                scenario.warm_up_end(),
-                Tti(outcome.ttis_done),
-            ),
+            start_probability: outcome.start_probability,
             metrics: outcome.metrics,
             totals: outcome.totals,
             classes: ClassSummary::all(scenario, outcome),

@@ -1,6 +1,7 @@
 //! The supervised device processes of `up`: a process that fails is replaced by a new one, which takes over its
 //! devices, unless `--on-loss` ends the run or continues without them. `child_process` starts a process,
-//! `start_limiter` sets how many start together. `docs/command-line.md` states [`MAX_SHORT_LIVES`].
+//! `start_limiter` sets how many start together. `docs/command-line.md` states [`MAX_SHORT_LIVES`]. A process that ends
+//! with exit code 0 is not replaced.
 
 use std::collections::VecDeque;
 use std::process::{Child, ExitStatus};
@@ -89,7 +90,7 @@ impl Supervisor {
             is_over: AtomicBool::new(false),
             is_dropped: AtomicBool::new(false),
         });
-        let supervisor = SupervisorThread {
+        let supervising = SupervisorThread {
             state: Arc::clone(&state),
             progress: Arc::clone(progress),
             start_limiter: StartLimiter::new(),
@@ -102,11 +103,11 @@ impl Supervisor {
         // Every process is started on this thread, since the kernel ends a child with the thread that started it.
         let thread = std::thread::Builder::new().name("launcher".to_owned()).spawn(move || {
             let (mut waiting, mut slots) = (VecDeque::from(commands), Vec::new());
-            let started = supervisor.start(&mut waiting, &mut slots);
+            let started = supervising.start_waiting(&mut waiting, &mut slots);
             let has_started = started.is_ok();
             // If one of the first processes fails, those before it must not stay.
             if sender.send(started).is_ok() && has_started {
-                supervisor.supervise(waiting, slots);
+                supervising.supervise(waiting, slots);
             } else {
                 kill_all(slots);
             }
@@ -120,12 +121,12 @@ impl Supervisor {
         })
     }
 
-    /// The ids of the processes.
+    /// The ids of the running processes; a process can have ended since the last check.
     pub(crate) fn pids(&self) -> Vec<u32> {
         self.state.pids.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Waits for all processes to leave, and kills the rest.
+    /// Waits for all processes to leave, and kills the rest. Call it once the base station has dismissed the hosts.
     pub(crate) fn wait(mut self) {
         self.state.is_over.store(true, Ordering::Relaxed);
         self.join();
@@ -166,7 +167,7 @@ impl SupervisorThread {
     }
 
     /// Starts as many of the `waiting` processes as the limiter allows.
-    fn start(&self, waiting: &mut VecDeque<Vec<String>>, slots: &mut Vec<ProcessSlot>) -> anyhow::Result<()> {
+    fn start_waiting(&self, waiting: &mut VecDeque<Vec<String>>, slots: &mut Vec<ProcessSlot>) -> anyhow::Result<()> {
         let allowed_starts_now = self.allowed_starts_now(waiting.len(), slots);
         for command in waiting.drain(..allowed_starts_now) {
             let child = child_process::spawn(&command, self.key, self.threads)
@@ -190,19 +191,19 @@ impl SupervisorThread {
         *self.state.pids.lock().unwrap_or_else(PoisonError::into_inner) = pids.collect();
     }
 
+    /// Replaces failed processes until the run is over, then waits for all of them to leave.
     fn supervise(&self, mut waiting: VecDeque<Vec<String>>, mut slots: Vec<ProcessSlot>) {
         while !self.state.is_over.load(Ordering::Relaxed) && !self.state.is_dropped.load(Ordering::Relaxed) {
-            if let Err(error) = self.start(&mut waiting, &mut slots) {
+            if let Err(error) = self.start_waiting(&mut waiting, &mut slots) {
                 // Cleared, or every check would try again and fail.
                 waiting.clear();
                 self.progress.request_stop_because(format!("{error:#}"));
             }
-            let mut has_changed = false;
+            let mut have_pids_changed = false;
             // One system call for all: a call for each of a thousand processes would cost more at every check.
-            let has_ended = child_process::has_exited_child();
-            if has_ended {
+            if child_process::has_exited_child() {
                 for slot in &mut slots {
-                    has_changed |= self.reap(slot);
+                    have_pids_changed |= self.reap(slot);
                 }
             }
             let is_due = |slot: &&mut ProcessSlot| slot.restart_at.is_some_and(|restart_at| now() >= restart_at);
@@ -214,15 +215,15 @@ impl SupervisorThread {
             };
             for slot in slots.iter_mut().filter(is_due).take(allowed_starts_now) {
                 self.restart(slot);
-                has_changed = true;
+                have_pids_changed = true;
             }
-            if has_changed {
+            if have_pids_changed {
                 self.publish_pids(&slots);
             }
             std::thread::sleep(POLL_INTERVAL);
         }
-        let started = now();
-        while started.elapsed() < self.exit_timeout && !self.state.is_dropped.load(Ordering::Relaxed) {
+        let run_end = now();
+        while run_end.elapsed() < self.exit_timeout && !self.state.is_dropped.load(Ordering::Relaxed) {
             slots.retain_mut(|slot| {
                 slot.child
                     .as_mut()
@@ -242,7 +243,7 @@ impl SupervisorThread {
         kill_all(slots);
     }
 
-    /// Checks one process. Returns whether it has ended.
+    /// Checks the process of `slot`, and handles its end. Returns whether it has ended since the last check.
     fn reap(&self, slot: &mut ProcessSlot) -> bool {
         if let Some(child) = &mut slot.child
             && let Ok(Some(status)) = child.try_wait()
@@ -257,6 +258,7 @@ impl SupervisorThread {
         false
     }
 
+    /// Starts another process in `slot`.
     fn restart(&self, slot: &mut ProcessSlot) {
         slot.restart_at = None;
         slot.started = now();
@@ -266,7 +268,8 @@ impl SupervisorThread {
         }
     }
 
-    /// Handles a process that failed before the end of the run.
+    /// Handles a process that failed before the end of the run: stops the run, drops the process, or sets
+    /// [`ProcessSlot::restart_at`].
     fn handle_failure(&self, slot: &mut ProcessSlot, pid: u32, status: ExitStatus) {
         let why = format!("the device process with pid {pid} ended with {status}");
         match self.on_loss {

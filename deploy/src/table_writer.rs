@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// Longest delay of a row.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
-/// Most bytes that are held back.
+/// Held bytes from which the next write to a [`LineBuffered`] writes them out first.
 const MAX_HELD_BYTES: usize = 1 << 16;
 
 /// Tables whose rows are written within a second.
@@ -34,19 +34,19 @@ impl TableWriter {
     /// # Errors
     /// If a table cannot be written, or the thread cannot be started.
     pub(crate) fn begin(folder: &Path, tables: &[(&str, Vec<&str>)]) -> anyhow::Result<Self> {
-        let mut open = Vec::new();
+        let mut writers = Vec::new();
         for (name, columns) in tables {
             let mut table = csv::Writer::from_writer(LineBuffered::new(File::create(folder.join(name))?));
             table.write_record(columns)?;
-            open.push(table);
+            writers.push(table);
         }
         let state = Arc::new(Mutex::new(TableWriterState {
-            tables: open,
+            tables: writers,
             error: None,
             is_over: false,
         }));
         let thread_state = Arc::clone(&state);
-        let write = move || {
+        let write_loop = move || {
             loop {
                 std::thread::park_timeout(WRITE_INTERVAL);
                 let mut state = lock(&thread_state);
@@ -57,22 +57,28 @@ impl TableWriter {
                 }
             }
         };
-        let thread = std::thread::Builder::new().name("tables".to_owned()).spawn(write)?;
+        let thread = std::thread::Builder::new()
+            .name("tables".to_owned())
+            .spawn(write_loop)?;
         Ok(Self {
             state,
             thread: Some(thread),
         })
     }
 
-    /// Adds a row, with one cell per column, to the table with index `table` in the list of [`Self::begin`].
-    pub(crate) fn add<R>(&self, table: usize, row: R)
+    /// Adds a row, with one cell per column, to the table with this index in the list of [`Self::begin`]. An error
+    /// shows in [`Self::has_no_error`] and [`Self::flush`]; later rows are then dropped.
+    ///
+    /// # Panics
+    /// If there is no such table.
+    pub(crate) fn add<R>(&self, table_index: usize, row: R)
     where
         R: IntoIterator,
         R::Item: AsRef<[u8]>,
     {
         let mut state = lock(&self.state);
         if state.error.is_none() {
-            state.error = state.tables[table].write_record(row).err();
+            state.error = state.tables[table_index].write_record(row).err();
         }
     }
 
@@ -81,7 +87,7 @@ impl TableWriter {
         lock(&self.state).error.is_none()
     }
 
-    /// Writes all pending rows.
+    /// Writes all pending rows. Call it at the end of the run: it takes the error out of the writer.
     ///
     /// # Errors
     /// If a write fails now or failed before.
@@ -107,6 +113,7 @@ fn lock(state: &Mutex<TableWriterState>) -> MutexGuard<'_, TableWriterState> {
 }
 
 impl TableWriterState {
+    /// Writes the whole rows of every table to its file.
     fn write_out(&mut self) {
         for table in &mut self.tables {
             // The first error names the cause; later ones follow from it.
@@ -120,6 +127,7 @@ impl TableWriterState {
 /// Holds bytes back until they form whole lines.
 struct LineBuffered<W> {
     file: W,
+    /// Bytes that are not written yet.
     held: Vec<u8>,
 }
 

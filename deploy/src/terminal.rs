@@ -25,7 +25,8 @@ pub(crate) fn progress_target() -> ProgressDrawTarget {
     }
 }
 
-/// Whether standard output is a terminal on which the user wants colours; NO_COLOR disables them.
+/// Whether standard output is a terminal on which the user wants colours; NO_COLOR disables them. Unlike progress bars,
+/// colours do not need TERM to be set.
 pub(crate) fn shows_colours() -> bool {
     let is_dumb = std::env::var_os("TERM").is_some_and(|kind| kind == "dumb");
     let is_disabled = std::env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty());
@@ -49,13 +50,14 @@ pub(crate) fn is_closed_output(error: &io::Error, output: BorrowedFd<'_>) -> boo
 struct Terminal(Mutex<String>);
 
 impl Terminal {
+    /// Adds `text` to the drawing, which [`TermLike::flush`] writes.
     #[expect(clippy::unnecessary_wraps, reason = "the trait requires a result")]
     fn buffer(&self, text: &str) -> io::Result<()> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push_str(text);
         Ok(())
     }
 
-    /// Moves the cursor by `n` in the direction of the escape `code`.
+    /// Moves the cursor by `n` in the direction of the escape `code`: A up, B down, C right, D left.
     fn move_cursor(&self, n: usize, code: char) -> io::Result<()> {
         if n == 0 {
             Ok(())

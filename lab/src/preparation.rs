@@ -179,14 +179,17 @@ mod tests {
         let choice: &DutyCycleChoice = chosen.downcast_ref().expect("a duty cycle");
         let positions = prepared.deployment.positions();
         let threshold = i_min(&positions, scenario.area, &scenario.sensing);
-        let reaching_threshold = results.iter().filter(|result| result.information >= threshold);
+        let reaching_threshold = results
+            .iter()
+            .filter(|result| result.information_per_event >= threshold);
         let least_energy = reaching_threshold
-            .map(|result| result.energy)
+            .map(|result| result.energy_per_device_tti)
             .fold(f64::INFINITY, f64::min);
         let chosen_result = results
             .iter()
             .find(|result| (result.t_on, result.t_drx) == (choice.t_on, choice.t_drx));
-        assert!((chosen_result.expect("a pair of the grid").energy - least_energy).abs() < 1e-15);
+        let chosen_energy = chosen_result.expect("a pair of the grid").energy_per_device_tti;
+        assert!((chosen_energy - least_energy).abs() < 1e-15);
         assert_eq!((choice.searched_pairs, choice.device_ttis), (3, 3 * 60 * 800));
     }
 

@@ -240,3 +240,15 @@ fn an_invalid_script_is_refused_with_the_line() {
     }
     assert!(!folder.join("out").exists(), "no folder is left behind");
 }
+
+#[test]
+fn the_summary_has_the_mean_of_a_changed_event_rate() {
+    let folder = TestFolder::new();
+    folder.write("a.txt", "600 set events.alpha 0.4\n");
+    let run = "run -s quick -p knn -n 10 -k 1000 --set events.alpha=0.1 --set warm_up=0.2 --actions a.txt --out r";
+    assert!(folder.run(run).is_success());
+    let summary: serde_json::Value = serde_json::from_slice(&folder.bytes("r/summary.json")).expect("a summary");
+    // 400 measured TTIs with 0.1, and as many with 0.4.
+    let alpha = summary["start_probability"].as_f64().expect("a number");
+    assert!((alpha - 0.25).abs() < 1e-12, "{alpha}");
+}

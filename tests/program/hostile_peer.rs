@@ -193,7 +193,7 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
             first,
             last,
             stimulus,
-            until: last,
+            stimulus_last: last,
             wants_totals: true,
             wants_views: false,
             plan_from: Tti(0),

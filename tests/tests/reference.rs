@@ -9,7 +9,7 @@ use proptest::test_runner::{Config, TestRunner};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::score::{EventActivity, Metrics};
-use reveille_common::totals::{DeviceTotals, RadioLosses, Totals};
+use reveille_common::totals::{DeviceTotals, Ledger, RadioLosses, Totals};
 use reveille_lab::run::RunOptions;
 use reveille_tests::reference::ReferenceRun;
 use reveille_tests::{compare, reference, scenarios};
@@ -133,7 +133,7 @@ fn random_scenarios_cover_every_case() {
         add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
         add("runs without low batteries", u64::from(run.measured.low_ttis == 0));
         add("missed wake-ups", run.missed_wake_ups);
-        add("lost reports", run.losses.reports);
+        add("lost reports", run.losses.lost_reports);
         add("missed plans", run.losses.missed_plans);
         add("runs with false wake-ups", u64::from(run.measured.false_wake_ups > 0));
         add("runs with a perfect radio", u64::from(scenario.radio.is_perfect()));
@@ -259,20 +259,23 @@ fn check_metrics(
 
 fn loss_metrics(run: &ReferenceRun, n: f64, ttis: f64) -> Vec<Row> {
     let RadioLosses {
-        reports,
-        wake_ups,
+        lost_reports,
+        sent_wake_ups,
         missed_wake_ups,
-        late,
-        plans,
+        late_wake_ups,
+        sent_plans,
         missed_plans,
     } = run.losses;
     let pct = |part: u64, whole: u64| part as f64 / whole as f64 * 100.0;
     let sleeping_ttis = (n * ttis).round() as u64 - run.measured.sensing_ttis;
     vec![
-        ("lost_reports_pct", pct(reports, reports + run.arrived_reports)),
-        ("missed_wake_ups_pct", pct(missed_wake_ups, wake_ups)),
-        ("late_wake_ups_pct", pct(late, wake_ups)),
-        ("missed_plans_pct", pct(missed_plans, plans)),
+        (
+            "lost_reports_pct",
+            pct(lost_reports, lost_reports + run.arrived_reports),
+        ),
+        ("missed_wake_ups_pct", pct(missed_wake_ups, sent_wake_ups)),
+        ("late_wake_ups_pct", pct(late_wake_ups, sent_wake_ups)),
+        ("missed_plans_pct", pct(missed_plans, sent_plans)),
         ("false_wake_ups_pct", pct(run.measured.false_wake_ups, sleeping_ttis)),
         // A run in memory loses no process.
         ("removed_pct", 0.0),

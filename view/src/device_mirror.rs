@@ -435,7 +435,7 @@ impl DeviceMirror {
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which does not exist"))?;
         let air = self.air.losses_at(world.last);
         self.before_wake_up = Some(machine.clone());
-        let stimulus = (!self.radio.is_late(wake.tti, world.until)).then_some(&stimulus);
+        let stimulus = (!self.radio.is_late(wake.tti, world.stimulus_last)).then_some(&stimulus);
         let outcome = machine.wake(world.last, stimulus, &self.physics).after_uplink(&air);
         self.has_reported = false;
         match self.open_wake_up.replace((device, outcome)) {

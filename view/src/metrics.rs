@@ -261,7 +261,7 @@ impl PrometheusMetrics {
         }
         // `update_devices` clears the request, but the first states are wanted before any request.
         self.update_devices(&[]);
-        self.request_count();
+        self.request_device_count();
     }
 
     /// Counts a frame.
@@ -292,7 +292,7 @@ impl PrometheusMetrics {
     }
 
     /// Requests a count of the devices by state and battery after the next grant. See [`Self::is_count_pending`].
-    pub fn request_count(&self) {
+    pub fn request_device_count(&self) {
         self.is_count_requested.store(true, Ordering::Relaxed);
     }
 

@@ -1,5 +1,7 @@
-//! Battery levels as the base station knows or estimates them. Policies decide by them, so every rounding here is part
-//! of the digest. `tests/src/reference/estimate.rs` repeats whether a device can pay for a report.
+//! Battery levels as the base station knows or estimates them. [`BaseStation`](crate::base_station::BaseStation) keeps
+//! one estimator. Policies decide by the levels, so every rounding here is part of the digest.
+//! `tests/src/reference/estimate.rs` repeats whether a device can pay for a report, with `MIN_SILENCE_LIKELIHOOD`;
+//! docs/policies.md lists the signs of an empty battery.
 //!
 //! A level is known in three cases: ground truth, a report, or a missing answer of a device that must answer. In the
 //! last case the battery is empty, since a failed action empties it. From then on the estimate adds the mean harvest,
@@ -43,6 +45,8 @@ const ROUNDING_MARGIN: f64 = 1e-9;
 /// Battery level of every device, given as ground truth or estimated.
 #[derive(Clone, Debug)]
 pub struct BatteryEstimator {
+    /// Whether [`Self::set_true_levels`] sets the levels. A report or an unanswered wake-up still sets the level of its
+    /// device, until the next call.
     uses_true_levels: bool,
     levels: Vec<Energy>,
     /// Other state by device.
@@ -293,7 +297,10 @@ impl BatteryEstimator {
         self.uses_true_levels
     }
 
-    /// Replaces all levels by the true ones.
+    /// Replaces all levels by the true ones, by device id.
+    ///
+    /// # Panics
+    /// If `levels` has not one level per device.
     pub fn set_true_levels(&mut self, levels: impl IntoIterator<Item = Energy>) {
         self.levels.clear();
         self.levels.extend(levels);
@@ -373,7 +380,7 @@ impl BatteryEstimator {
         if self.uses_true_levels || self.geometry.sensing.kind != DetectionKind::Range {
             return;
         }
-        let mut empty = Vec::new();
+        let mut silent_devices = Vec::new();
         let SensingGeometry {
             positions,
             buckets,
@@ -393,14 +400,14 @@ impl BatteryEstimator {
                 let device = DeviceId(j as u32);
                 let has_reported = || reports.binary_search_by_key(&device, |report| report.device).is_ok();
                 if plan.is_on(device, k) && !has_reported() {
-                    empty.push(device);
+                    silent_devices.push(device);
                 }
             });
         }
         // A device within reach of several reporters lost one report, not one for each of them.
-        empty.sort_unstable();
-        empty.dedup();
-        for device in empty {
+        silent_devices.sort_unstable();
+        silent_devices.dedup();
+        for device in silent_devices {
             self.observe_missing_report(device, k, plan, self.radio.no_report_probability());
         }
     }
@@ -459,7 +466,7 @@ fn detection_probability(known: &Knowledge, position: Point, directions: &[Point
     for circle in 0..CIRCLES {
         // The midpoint rule over rings, each weighted by the part of its circle that lies in the area.
         let d = d_max * (f64::from(circle) + 0.5) / f64::from(CIRCLES);
-        let detection = match kind {
+        let probability_at_d = match kind {
             DetectionKind::Range => 1.0,
             DetectionKind::Probabilistic => known.sensing.p(d),
         };
@@ -469,7 +476,7 @@ fn detection_probability(known: &Knowledge, position: Point, directions: &[Point
         };
         let inside_share = directions.iter().filter(is_inside).count() as f64 / f64::from(POINTS_PER_CIRCLE);
         // The area of the ring around this circle.
-        detected_area += detection * inside_share * TAU * d * d_max / f64::from(CIRCLES);
+        detected_area += probability_at_d * inside_share * TAU * d * d_max / f64::from(CIRCLES);
     }
     detected_area / known.area.surface()
 }

@@ -2,6 +2,9 @@
 //! epicentre ([`EpicentreBelief`]). `age-index`, `dt` and `q-learning` use them directly, `knn` and `adjusted` through
 //! the information target. Digests depend on their order. Learned wake tables depend on the scale of the scores, so
 //! another scale needs new tables.
+//!
+//! An event begins with [`WakeUpCandidates::start_event`]. Then candidates are taken and further reports added, in any
+//! order. All calls of one event need the same prior.
 
 use reveille_common::geometry::Point;
 use reveille_common::ids::DeviceId;
@@ -13,8 +16,9 @@ use super::ranking::{Correlation, Ranking};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// Minimum expected information of a wake-up, as a share of Ψ. Values from 0.01 to 0.03 gather the same information per
-/// energy; below that, hopeless devices are woken.
+/// Minimum expected information of a wake-up, as a share of Ψ, for `age-index` and `dt`; docs/age-index.md and
+/// docs/dt.md state it. Values from 0.01 to 0.03 gather the same information per energy; below 0.01, hopeless devices
+/// are woken.
 pub(crate) const MIN_GAIN_SHARE: f64 = 0.02;
 
 /// Wake-up candidates of one event at a time, by `bs.ranking` of the scenario.
@@ -64,7 +68,7 @@ impl WakeUpCandidates {
     }
 
     /// Begins an event like [`Self::start_event`], with a non-uniform prior over the epicentre. `prior` is a relative
-    /// density, > 0. The ranking by `P_4,2` ignores it.
+    /// density, at least 2⁻⁵¹². The ranking by `P_4,2` ignores it.
     pub(crate) fn start_event_with_prior(
         &mut self,
         seen: &Observation<'_>,

@@ -1,7 +1,7 @@
 //! The probability that a device has sensed an event that another device reported (Sec. III), `P_4,2`.
 //!
 //! [`Ranking`](super::ranking::Ranking) orders candidates by it. The order of float operations is fixed, since a
-//! changed last bit can change which device is woken.
+//! changed last bit can change which device is woken, and so the digest.
 
 use std::f64::consts::{LOG2_E, PI};
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use reveille_common::sensing::Sensing;
 
 use crate::bounds_cache::{Band, BoundsCache, CorrelationBounds};
 
-/// Points computed in parallel.
+/// Points computed in parallel. Each lane has a sum, so the rounding of `P_4,2` depends on their number.
 const LANES: usize = 2;
 
 /// Quadrature points for η·`d_max` up to [`BASE_DECAY`].
@@ -73,7 +73,8 @@ impl Correlation {
 
     /// Computes the bands in descending order of bound, for each d of a grid. A step of h in d or in γ moves the event
     /// by at most h relative to the device, so ln p changes by at most ηh. A pair is at most half a step from its grid
-    /// point in each coordinate, so the total change is at most ηh.
+    /// point in each coordinate, so the total change is at most ηh. The bounds depend on η and d_max alone, the key of
+    /// the cache.
     fn compute_bounds(&self) -> CorrelationBounds {
         let Sensing { eta, d_max, .. } = self.sensing;
         let step = (GRID_STEP_DECAY / eta).max(d_max / MAX_GRID_STEPS);
@@ -115,7 +116,8 @@ impl Correlation {
         &bands[((d * points_per_metre + 0.5) as usize).min(bands.len() - 1)]
     }
 
-    /// Returns the number of bands per metre, and the number of bands from γ = 0 to 2 `d_max`.
+    /// Returns the number of bands per metre, and the number of bands from γ = 0 to at least 2 `d_max`. The lists of
+    /// neighbours must have the same bands.
     pub(crate) fn bands_per_metre_and_count(&self) -> (f64, usize) {
         (self.bounds.points_per_metre, self.bounds.columns)
     }

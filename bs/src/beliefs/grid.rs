@@ -5,7 +5,8 @@ use std::ops::Range;
 
 use reveille_common::geometry::{Area, Point};
 
-/// Maximum number of cells (2²⁴). Policies that count on a grid reject scenarios with more.
+/// Maximum number of cells (2²⁴). The settings of policies that count on a grid reject scenarios with more, before a
+/// [`Raster`] is made.
 pub(crate) const MAX_CELLS: f64 = 16_777_216.0;
 
 /// Returns the number of cells of `area` with at least `cells_per_range` cells along `d_max`.
@@ -13,6 +14,7 @@ pub(super) fn count_cells(area: Area, d_max: f64, cells_per_range: f64) -> f64 {
     cells_along(area.width, d_max, cells_per_range) * cells_along(area.height, d_max, cells_per_range)
 }
 
+/// Returns the number of cells along a side of the area, a whole number.
 fn cells_along(length: f64, d_max: f64, cells_per_range: f64) -> f64 {
     (length / d_max * cells_per_range).ceil()
 }
@@ -57,12 +59,13 @@ impl Raster {
         ]
     }
 
-    /// Returns the distance from `p` to the farthest point and to the middle of a cell, metres.
-    pub(super) fn cell_distances(&self, row: usize, column: usize, p: Point) -> (f64, f64) {
+    /// Returns the distance from `position` to the farthest point and to the middle of a cell, metres.
+    pub(super) fn cell_distances(&self, row: usize, column: usize, position: Point) -> (f64, f64) {
         let (west, south) = (column as f64 * self.cell_width, row as f64 * self.cell_height);
-        let x = (p.x - west).abs().max((west + self.cell_width - p.x).abs());
-        let y = (p.y - south).abs().max((south + self.cell_height - p.y).abs());
+        let (east, north) = (west + self.cell_width, south + self.cell_height);
+        let x = (position.x - west).abs().max((east - position.x).abs());
+        let y = (position.y - south).abs().max((north - position.y).abs());
         let middle = Point::new(west + 0.5 * self.cell_width, south + 0.5 * self.cell_height);
-        (Point::new(x, y).distance(Point::default()), middle.distance(p))
+        (Point::new(x, y).distance(Point::default()), middle.distance(position))
     }
 }

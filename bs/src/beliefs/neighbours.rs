@@ -96,11 +96,11 @@ mod tests {
             height: 10.0,
         };
         for (layout, n) in [(Layout::Uniform, 90), (Layout::Grid, 50), (Layout::Hex, 7)] {
-            let points = place_devices(&layout, area, n, 3);
-            let mut neighbours = Neighbours::new(&points, area, 10.0, 80);
+            let positions = place_devices(&layout, area, n, 3);
+            let mut neighbours = Neighbours::new(&positions, area, 10.0, 80);
             for h in (0..n).map(DeviceId) {
                 for band in 0..80 {
-                    let distance = |j: &u32| points[*j as usize].distance(points[h.index()]);
+                    let distance = |j: &u32| positions[*j as usize].distance(positions[h.index()]);
                     let middle = f64::from(band) / 10.0;
                     let expected: Vec<DeviceId> = (0..n)
                         .filter(|j| distance(j) >= middle - 0.05 && distance(j) < middle + 0.05)

@@ -1,5 +1,6 @@
 //! Selection of the next device to wake by `P_4,2`, and the information required per event (Sec. III and V-A).
-//! Digests depend on the order of candidates, ties included; `tests/src/reference/` repeats it.
+//! [`WakeUpCandidates`](super::candidates::WakeUpCandidates) uses the ranking. Digests depend on the order of
+//! candidates, ties included; `tests/src/reference/` repeats it.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -80,11 +81,16 @@ impl Ranking {
     pub fn next_candidate(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
         // A device may be queued once per reporter. Its largest value comes first and is its maximum over all
         // reporters.
-        while let Some(QueueEntry { bound, item, number }) = self.queue.pop() {
+        while let Some(entry) = self.queue.pop() {
+            let QueueEntry {
+                bound,
+                item,
+                device_or_band,
+            } = entry;
             match item {
-                QueueItem::Band { reporter } => self.evaluate_band(reporter, number, &is_candidate),
+                QueueItem::Band { reporter } => self.evaluate_band(reporter, device_or_band, &is_candidate),
                 QueueItem::Evaluated => {
-                    let device = DeviceId(number);
+                    let device = DeviceId(device_or_band);
                     if self.last_returned_for[device.index()] != self.event_number && is_candidate(device) {
                         self.last_returned_for[device.index()] = self.event_number;
                         return Some((device, bound.probability()));
@@ -123,7 +129,7 @@ impl Ranking {
         queue.extend(next.map(|(band_index, band)| QueueEntry {
             bound: RoundedProbability::above(band.bound),
             item: QueueItem::Band { reporter },
-            number: band_index,
+            device_or_band: band_index,
         }));
     }
 
@@ -138,7 +144,7 @@ impl Ranking {
             self.queue.push(QueueEntry {
                 bound: RoundedProbability::nearest(value),
                 item: QueueItem::Evaluated,
-                number: j.0,
+                device_or_band: j.0,
             });
         }
     }
@@ -170,23 +176,23 @@ impl RoundedProbability {
     }
 }
 
-/// Kind of a queue entry, which determines the meaning of its number. `cmp` of [`QueueEntry`] relies on the order of
-/// the variants.
+/// Kind of a queue entry. The order of the variants is part of `cmp` of [`QueueEntry`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum QueueItem {
-    /// A candidate with its probability; the number is the device number.
+    /// A candidate with its probability. `device_or_band` is its device number.
     Evaluated,
-    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities. The number
-    /// is the index of the band in the reporter's list.
+    /// All candidates in one band of distances from a reporter, with an upper bound on their probabilities.
+    /// `device_or_band` is the index of the band in the reporter's list.
     Band { reporter: u32 },
 }
 
-/// Candidates and an upper bound on their probability.
+/// Candidates and an upper bound on their probability; for a single candidate, the probability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct QueueEntry {
     bound: RoundedProbability,
     item: QueueItem,
-    number: u32,
+    /// Device number or index of a band, by `item`.
+    device_or_band: u32,
 }
 
 impl Ord for QueueEntry {
@@ -195,7 +201,7 @@ impl Ord for QueueEntry {
     fn cmp(&self, other: &Self) -> Ordering {
         (self.bound, self.item)
             .cmp(&(other.bound, other.item))
-            .then_with(|| other.number.cmp(&self.number))
+            .then_with(|| other.device_or_band.cmp(&self.device_or_band))
     }
 }
 
@@ -363,8 +369,8 @@ mod tests {
             let check_next =
                 |returned: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &RankingDefinition<'_>| {
                     let next = ranking.next_candidate(is_candidate);
-                    let case = format!("case {case}, {layout:?}, decay {decay}");
-                    definition.assert_is_best(next, |j| is_candidate(j) && !returned.contains(&j), error, &case);
+                    let label = format!("case {case}, {layout:?}, decay {decay}");
+                    definition.assert_is_best(next, |j| is_candidate(j) && !returned.contains(&j), error, &label);
                     returned.extend(next.map(|(j, _)| j));
                     next.is_some()
                 };

@@ -7,7 +7,8 @@
 use super::coverage::CoverageUnion;
 use crate::knowledge::Knowledge;
 
-/// Default weight μ1 of misdetections. The settings of `q-learning` declare their own default.
+/// Default weight μ1 of misdetections. The settings of `q-learning` declare their own defaults for both weights, and
+/// `python/reveille/environment.py` repeats the values.
 pub const DEFAULT_MU1: f64 = 14.0;
 /// Default weight μ2 of information.
 pub const DEFAULT_MU2: f64 = 1.0;
@@ -25,7 +26,7 @@ impl CoverageReward {
     /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds the
     /// positions of all devices, those in S4 included.
     pub fn new(union: &mut CoverageUnion, on: &[bool]) -> Self {
-        let devices_on = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
+        let devices_on = || on.iter().enumerate().filter(|(_, is_on)| **is_on).map(|(j, _)| j);
         Self {
             asleep_share: 1.0 - devices_on().count() as f64 / on.len() as f64,
             uncovered_share: union.uncovered(devices_on()),

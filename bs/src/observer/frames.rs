@@ -1,7 +1,8 @@
 //! Encodes a run as frames: the messages on the air, and the ground truth that is never sent.
 //!
 //! The frames are byte-identical over the bus and in memory, since an audit compares the frames of a run with its
-//! replay. Each message that the score counts on the air appears once. Recordings and the tap of the bus carry them.
+//! replay. Each message that the score counts on the air appears once. Recordings and the tap of the bus carry them;
+//! `view/` reconstructs states, metrics and digest from the frames and their order.
 
 use reveille_common::ids::Tti;
 use reveille_common::message::{
@@ -15,11 +16,11 @@ use super::{Notification, Observer};
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameEncoder {
     /// The first TTI of the last grant.
-    first: Tti,
+    grant_first: Tti,
     /// The last TTI of the last grant.
-    last: Tti,
+    grant_last: Tti,
     /// The next TTI to be granted.
-    next: Tti,
+    next_tti: Tti,
 }
 
 impl FrameEncoder {
@@ -28,12 +29,12 @@ impl FrameEncoder {
         match *notification {
             Notification::PlanSent { update, .. } => emit(Frame::new(update.from, (), update)),
             Notification::TtisGranted(grant) => {
-                (self.first, self.last, self.next) = (grant.first, grant.last, grant.last + 1);
+                (self.grant_first, self.grant_last, self.next_tti) = (grant.first, grant.last, grant.last + 1);
                 let world = WorldUpdate {
                     first: grant.first,
                     last: grant.last,
                     stimulus: grant.stimulus,
-                    until: grant.until,
+                    stimulus_last: grant.event_last_tti,
                 };
                 emit(Frame::new(grant.first, (), &world));
             }
@@ -63,7 +64,7 @@ impl FrameEncoder {
             Notification::TtiClosed(_) => {}
             Notification::DeviceStates(views) => {
                 let states = DeviceStates { views: views.to_vec() };
-                emit(Frame::new(self.last, (), &states));
+                emit(Frame::new(self.grant_last, (), &states));
             }
         }
     }
@@ -96,18 +97,18 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
 impl<F: FnMut(Frame)> Observer for FrameObserver<F> {
     fn notify(&mut self, notification: &Notification<'_>) {
         if matches!(notification, Notification::DeviceStates(_)) {
-            let is_due = self.state_interval > 0 && self.encoder.first >= self.states_due;
+            let is_due = self.state_interval > 0 && self.encoder.grant_first >= self.states_due;
             if !is_due {
                 // Another observer has requested these states.
                 return;
             }
-            self.states_due = self.encoder.last + self.state_interval;
+            self.states_due = self.encoder.grant_last + self.state_interval;
         }
         self.encoder.encode(notification, &mut self.emit);
     }
 
     fn wants_states(&self) -> bool {
-        self.state_interval > 0 && self.encoder.next >= self.states_due
+        self.state_interval > 0 && self.encoder.next_tti >= self.states_due
     }
 
     fn wants_beliefs(&self) -> bool {

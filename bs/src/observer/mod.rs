@@ -1,9 +1,10 @@
 //! The interface by which a run is observed, in memory and over the bus.
 //!
 //! The [`Cycle`](crate::cycle::Cycle) notifies an [`Observer`] in order. The [`Session`](crate::session::Session) adds
-//! the device states if the observer wants them. Scenario, seed and options determine the stream of [`Notification`]s,
-//! whether devices run in memory or in processes. The run waits for its observer, so a recorder loses nothing. A live
-//! view that must not delay the run reads the tap of the bus.
+//! the device states if the observer wants them. Scenario, seed, options and external inputs (operator actions, removed
+//! devices, decisions of a policy process) determine the stream of [`Notification`]s, whether devices run in memory or
+//! in processes; `tests/tests/observer.rs` compares both. The run waits for its observer, so a recorder loses nothing.
+//! A live view that must not delay the run reads the tap of the bus.
 //!
 //! An observer can end the run ([`Observer::window_closed`]) but not change it otherwise. `()` ignores everything.
 
@@ -83,6 +84,10 @@ pub enum Notification<'a> {
 }
 
 /// An observer of a run. The default methods ignore everything.
+///
+/// A new method must also be forwarded by the implementations for `&mut O`, `Option<O>` and pairs below, and by the
+/// observers in other crates that contain one, such as `RunObservers` in `deploy/src/commands/run.rs`. Otherwise the
+/// default hides it there.
 pub trait Observer {
     /// Receives a notification.
     fn notify(&mut self, _notification: &Notification<'_>) {}
@@ -197,6 +202,6 @@ pub struct Grant {
     pub last: Tti,
     /// The event that devices may detect in `last`, if any.
     pub stimulus: Option<Stimulus>,
-    /// Last TTI in which the active event can be detected; TTI 0 if no event is active.
-    pub until: Tti,
+    /// Last TTI in which the active event can be detected; TTI 0 if no event is active. Messages call it `until`.
+    pub event_last_tti: Tti,
 }

@@ -10,8 +10,8 @@
 //! of a place. A newly reported event can have started in any TTI of that age, so a place of twice the age is twice as
 //! likely. The best candidate is woken while its expected gain is large enough.
 //!
-//! `tests/src/reference/age_index.rs` repeats the calculation, and an untrained `dt` with `miss_cost = 0` must decide
-//! the same.
+//! `tests/src/reference/age_index.rs` repeats the calculation. An untrained `dt` with `miss_cost = 0` must decide the
+//! same: `dt/mod.rs` repeats the order of calls, and `dt/settings.rs` the default price.
 
 use std::sync::Arc;
 
@@ -39,8 +39,8 @@ use crate::observation::Observation;
 pub struct AgeIndex {
     ages: Ages,
     prices: Prices,
-    /// The worth of one device's places at age 1, in the unit of worths: the factor of the price θ.
-    reach: f64,
+    /// Worth at age 1 of a reach, the area that one device alone covers, in the unit of [`Ages::gain`]: the unit of θ.
+    worth_of_reach: f64,
     foresight: Option<Foresight>,
     selector: DeviceSelector,
     candidates: WakeUpCandidates,
@@ -60,13 +60,13 @@ impl AgeIndex {
             &known.sensing,
             ages::age_worths(),
         );
-        let reach = ages::effective_area(&known.sensing) / ages.cell_surface();
+        let worth_of_reach = ages::effective_area(&known.sensing) / ages.cell_surface();
         Self {
-            prices: Prices::new(known, settings.price * reach),
+            prices: Prices::new(known, settings.price * worth_of_reach),
             foresight: settings.foresight.map(|ttis| Foresight::new(known, ttis)),
             selector: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
-            reach,
+            worth_of_reach,
             ages,
             is_event_reported: false,
             sensing_count: SensingCount::default(),
@@ -76,6 +76,7 @@ impl AgeIndex {
 
 impl Policy for AgeIndex {
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
+        // Called in every TTI, as `next_decision` defaults to the next. `choose` has added the last choice to the ages.
         if seen.now > Tti::ZERO {
             self.ages.advance(std::mem::take(&mut self.is_event_reported));
         }
@@ -95,7 +96,7 @@ impl Policy for AgeIndex {
     }
 
     fn set_price(&mut self, known: &Knowledge, price: f64) {
-        self.prices = Prices::new(known, price * self.reach);
+        self.prices = Prices::new(known, price * self.worth_of_reach);
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
@@ -125,7 +126,7 @@ impl Policy for AgeIndex {
     }
 }
 
-/// The policy `age-index`.
+/// The policy `age-index`. The text is part of docs/scenario.md.
 pub(crate) const AGE_INDEX: PolicyEntry = PolicyEntry {
     about: "Covers the places left uncovered for longest, while the gain is worth the energy. Wakes by expected gain; \
             needs no training.",
@@ -140,7 +141,8 @@ impl PolicyFactory for AgeIndexSettings {
     }
 }
 
-// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md.
+// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md. `price` has the default of
+// `dt`.
 declare! {
     /// Settings of the policy `age-index`.
     #[derive(Clone, Debug, PartialEq)]

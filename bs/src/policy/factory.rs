@@ -15,7 +15,8 @@ use crate::knowledge::Knowledge;
 
 /// The validated settings of a policy, which build the policy.
 pub trait PolicyFactory: Visit + Any + Debug + Send + Sync {
-    /// Builds the policy for a base station that knows `known`.
+    /// Builds the policy for a base station that knows `known`. If [`Self::pilot_search`] returns a search, only its
+    /// outcome is built.
     fn build(&self, known: &Knowledge) -> Box<dyn Policy>;
 
     /// Returns the pilot search that must choose the factory to build with, if any.
@@ -50,7 +51,7 @@ pub type ReadSettings = fn(&FieldReader<'_>, &Site<'_>) -> Result<Arc<dyn Policy
 pub struct PolicyEntry {
     /// Name in `policy.name`, on the command line and in every file.
     pub name: &'static str,
-    /// Behaviour in one sentence, for help and reference.
+    /// Behaviour in one sentence, for help and the generated page docs/scenario.md.
     pub about: &'static str,
     /// Fields under `policy.NAME`; `None` for a policy without settings.
     pub section: Option<&'static Section>,
@@ -58,9 +59,9 @@ pub struct PolicyEntry {
     pub read_settings: ReadSettings,
     /// Whether it can learn and has tables to train.
     pub learns: bool,
-    /// Whether it wakes devices.
+    /// Whether it wakes devices; tests compare this with its runs.
     pub wakes: bool,
-    /// Whether it ranks wake-up candidates by `bs.ranking`.
+    /// Whether it ranks wake-up candidates by `bs.ranking`; labels of figures and tables then name the ranking.
     pub heeds_ranking: bool,
     /// Whether it receives ground truth: an upper bound, which no base station could run.
     pub is_bound: bool,
@@ -135,7 +136,8 @@ impl PolicyKind for PolicyEntry {
 pub struct PilotSearch {
     /// Length of the first pilot runs, TTIs, ≥ 1.
     pub initial_ttis: u64,
-    /// Counted events that each pilot run must hold; otherwise all are repeated at twice the length, up to `max_ttis`.
+    /// Events after the warm-up that each pilot run must hold; otherwise all are repeated at twice the length, up to
+    /// `max_ttis`.
     pub min_events: u64,
     /// The greatest length of a pilot run, TTIs.
     pub max_ttis: u64,
@@ -156,7 +158,7 @@ pub type SearchOutcome = (Arc<dyn PolicyFactory>, Vec<String>);
 pub struct PilotRuns {
     /// The length of each run, TTIs.
     pub run_ttis: u64,
-    /// The TTIs of all pilot runs together, including those that were too short.
+    /// The TTIs of all pilot runs together, including the runs that were too short.
     pub total_ttis: u64,
     /// Metrics in the order of the candidates.
     pub metrics: Vec<Metrics>,

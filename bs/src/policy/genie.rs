@@ -1,6 +1,7 @@
 //! The policy `genie`, the genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is
 //! woken when it starts or, with a lossy radio, the devices within d_max in turn until one reports. It receives the
-//! events through [`Oracle`], as no base station could. Its digests depend on the order of wake-ups, ties included.
+//! events through [`Oracle`], as no base station could. Its digests depend on the order of wake-ups, ties included;
+//! `tests/src/reference/policy.rs` repeats it. The world (`common/src/world.rs`) calls the oracle.
 
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ use super::interface::Policy;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// The policy `genie`.
+/// The policy `genie`. The text is part of docs/scenario.md.
 pub const GENIE: PolicyEntry = PolicyEntry {
     is_bound: true,
     ..PolicyEntry::without_settings(
@@ -47,10 +48,11 @@ pub struct Genie {
     device_count: usize,
     /// Whether a woken device with power may fail to report.
     is_lossy: bool,
+    /// Place of the current event; meaningless before the first.
     epicentre: Point,
-    /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if
-    /// it cannot pay, as the bound requires.
-    wake_queue: Vec<DeviceId>,
+    /// Devices to wake for the current event, the next one at the end. Without radio losses it is the closest one, even
+    /// if it cannot pay, as the bound requires.
+    wake_stack: Vec<DeviceId>,
 }
 
 impl Genie {
@@ -63,7 +65,7 @@ impl Genie {
             device_count: known.n(),
             is_lossy: known.radio.no_answer_probability() > 0.0,
             epicentre: Point::new(0.0, 0.0),
-            wake_queue: Vec::new(),
+            wake_stack: Vec::new(),
         }
     }
 
@@ -78,7 +80,7 @@ impl Genie {
         best.map(|(_, j)| DeviceId(j as u32))
     }
 
-    /// Returns all devices within d_max of `epicentre`, the closest at the end.
+    /// Returns all devices within d_max of `epicentre`, the closest at the end, ties as in [`Self::closest_device`].
     fn devices_around(&self, epicentre: Point) -> Vec<DeviceId> {
         let mut devices = Vec::new();
         self.buckets.within(epicentre, self.d_max, |j, d| devices.push((d, j)));
@@ -98,13 +100,13 @@ impl Policy for Genie {
     }
 
     fn next_wake_up(&mut self, _seen: &Observation<'_>) -> Option<DeviceId> {
-        self.wake_queue.pop()
+        self.wake_stack.pop()
     }
 
     /// Ends the wake-ups after one report of the event.
     fn take_wake_up_answer(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
         if report.is_some() {
-            self.wake_queue.clear();
+            self.wake_stack.clear();
         }
     }
 
@@ -121,7 +123,7 @@ impl Policy for Genie {
 impl Oracle for Genie {
     fn reveal_event(&mut self, stimulus: &Stimulus) {
         self.epicentre = stimulus.epicentre;
-        self.wake_queue = if self.is_lossy {
+        self.wake_stack = if self.is_lossy {
             self.devices_around(stimulus.epicentre)
         } else {
             self.closest_device(stimulus.epicentre).into_iter().collect()
@@ -129,14 +131,14 @@ impl Oracle for Genie {
     }
 
     fn needs_wake_up(&self) -> bool {
-        !self.wake_queue.is_empty()
+        !self.wake_stack.is_empty()
     }
 
     /// Queues the devices again if the radio is lossy, since a later answer can succeed.
     fn needs_another_wake_up(&mut self) -> bool {
         if self.is_lossy {
-            self.wake_queue = self.devices_around(self.epicentre);
+            self.wake_stack = self.devices_around(self.epicentre);
         }
-        !self.wake_queue.is_empty()
+        !self.wake_stack.is_empty()
     }
 }

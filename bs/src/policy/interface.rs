@@ -1,6 +1,7 @@
 //! The interface between a policy and the base station: [`Policy`]. The base station (`base_station.rs`) calls it;
 //! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/policy-interface.md` explains it.
-//! `dt/record.rs` wraps a policy, so a new method needs a line there.
+//! `dt/record.rs` wraps a policy and must forward every call: a new method with a default compiles without a line there
+//! and would be ignored in recordings.
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -17,6 +18,10 @@ use crate::observation::Observation;
 
 /// A policy, which decides which devices sense and which to wake. It has the knowledge of a base station. Only
 /// [`Self::decide`] is required.
+///
+/// Calls in a TTI: [`Self::decide`] and [`Self::next_decision`] if a decision is due; [`Self::reports_received`] if
+/// reports arrive; then [`Self::next_wake_up`] and [`Self::take_wake_up_answer`] in turn until no device is named.
+/// Without a report, only a policy with an [`Self::oracle`] is asked for wake-ups.
 pub trait Policy: Any + Send {
     /// Decides δ from this TTI on. The base station calls it in TTI 0 and whenever [`Self::next_decision`] is reached.
     fn decide(&mut self, seen: &Observation<'_>) -> Plan;
@@ -36,10 +41,10 @@ pub trait Policy: Any + Send {
         None
     }
 
-    /// Receives the answer to the last wake-up: a report, or `None`.
+    /// Receives the answer to the last wake-up: a report, or `None`. `seen` already includes its information.
     fn take_wake_up_answer(&mut self, _seen: &Observation<'_>, _report: Option<&Report>) {}
 
-    /// Returns figures about the deployment, by name, for the summary.
+    /// Returns figures about the deployment or the run, by name. The names are keys of `summary.json`.
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         Vec::new()
     }
@@ -59,7 +64,8 @@ pub trait Policy: Any + Send {
         None
     }
 
-    /// Returns the group of each device, in the order of ids, if the policy groups devices by place.
+    /// Returns the group of each device, in the order of ids, if the policy groups devices by place; for display and
+    /// the records of devices.
     fn device_groups(&self) -> Option<&[u32]> {
         None
     }

@@ -1,6 +1,7 @@
 //! The policy `knn` (Sec. V-A, Algorithm 1): devices are clustered by location, and one member of each cluster is in S1
 //! in turn. After a report the members of the reporters' clusters are woken, most correlated first, until Î ≥ I_min.
 //! Digests depend on the clusters and on the turns of their members; names of facts are part of `summary.json`.
+//! `tests/src/reference/policy.rs` repeats the policy.
 
 use reveille_common::declare;
 use reveille_common::declare::{switch, whole};
@@ -67,6 +68,7 @@ impl Policy for Knn {
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         if !self.information_target.start_event(seen, reports) {
+            // The target is reached: `next_device` names none, so the clusters of an earlier event do no harm.
             return;
         }
         self.reporter_clusters.clear();
@@ -106,7 +108,7 @@ impl Policy for Knn {
     }
 }
 
-/// The policy `knn`.
+/// The policy `knn`. The text is part of docs/scenario.md.
 pub const KNN: PolicyEntry = PolicyEntry {
     about: "Clusters devices by location; one member of each cluster senses in turn. Wakes members of the reporters' \
             clusters (Algorithm 1).",

@@ -21,7 +21,8 @@ pub mod registry;
 use reveille_common::ids::DeviceId;
 use reveille_common::plan::Plan;
 
-/// Number of decisions so far, and of the devices that sense in them.
+/// Number of decisions so far, and of the devices that sense in them. For policies that decide in every TTI: the fact
+/// counts each decision as one TTI.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensingCount {
     decisions: u64,
@@ -29,11 +30,11 @@ pub struct SensingCount {
 }
 
 impl SensingCount {
-    /// Returns the plan for `devices` devices in which the `chosen` ones, in ascending order, sense. Counts it.
-    pub fn count_and_plan(&mut self, devices: usize, chosen: &[DeviceId]) -> Plan {
+    /// Returns the plan for `device_count` devices in which the `chosen` ones, in ascending order, sense. Counts it.
+    pub fn count_and_plan(&mut self, device_count: usize, chosen: &[DeviceId]) -> Plan {
         self.decisions += 1;
         self.sensing_devices += chosen.len() as u64;
-        Plan::from_devices(devices, chosen)
+        Plan::from_devices(device_count, chosen)
     }
 
     /// Returns the mean number of devices that sense per TTI. Its name is part of `summary.json` and docs/age-index.md.

@@ -1,6 +1,6 @@
 //! The registry entry of the policy [`external`](super::external), for programs that can serve decision requests.
 //! [`POLICIES`](super::registry::POLICIES) leaves it out: no list or sweep contains it, and it cannot run by its name
-//! alone.
+//! alone. `bs/src/scenario/disk.rs` and the Python package load scenarios with it.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::registry;
 use crate::beliefs::ages;
 use crate::knowledge::Knowledge;
 
-/// Name of the policy in a scenario.
+/// Name of the policy in a scenario, in run folders and in figures.
 pub const EXTERNAL_NAME: &str = "external";
 
 /// The policy `external`.

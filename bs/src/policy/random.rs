@@ -21,14 +21,13 @@ pub struct Random {
 }
 
 impl Random {
-    /// Draws the duty cycles of all devices.
+    /// Draws the duty cycles of all devices. `settings` must have passed the checks of [`RandomSettings::from_fields`].
     pub fn new(known: &Knowledge, settings: &RandomSettings) -> Self {
-        let RandomSettings { t_on, t_drx } = settings;
         let draw = |j: u32| {
             // A stream per device, so that a device's cycle does not depend on the number of devices.
             let mut stream = known.streams.stream(PolicyPurpose::DutyCycle, u64::from(j));
-            let t_on = t_on[stream.below(t_on.len() as u64) as usize];
-            let t_drx = t_drx[stream.below(t_drx.len() as u64) as usize];
+            let t_on = settings.t_on[stream.below(settings.t_on.len() as u64) as usize];
+            let t_drx = settings.t_drx[stream.below(settings.t_drx.len() as u64) as usize];
             DutyCycle {
                 t_on,
                 t_drx,
@@ -73,7 +72,7 @@ impl PolicyFactory for RandomSettings {
 /// Longest list of t_on or t_DRX to draw from.
 const MAX_LIST_LENGTH: usize = 64;
 
-// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md.
+// The fields, in this order, are part of scenario files and their hashes. docs/scenario.md has the doc comments too.
 declare! {
     /// Settings of the policy `random` (Sec. VI). The paper does not state the values that devices draw from.
     #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,7 +89,7 @@ declare! {
 }
 
 impl RandomSettings {
-    /// Reads the settings.
+    /// Reads the settings. A test of `bs/src/scenario/tests/messages.rs` compares the second error.
     ///
     /// # Errors
     /// A value is out of range, or a t_on is longer than a t_DRX.

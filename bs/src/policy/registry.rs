@@ -11,7 +11,7 @@ use super::knn::KNN;
 use super::q_learning::Q_LEARNING;
 use super::random::RANDOM;
 
-/// All policies of this program, in display order.
+/// All policies of this program, in the order of help texts and of docs/scenario.md.
 pub const POLICIES: &[PolicyEntry] = &[KNN, ADJUSTED, Q_LEARNING, DT, RANDOM, GENIE, AGE_INDEX];
 
 /// Returns references to all policies, the form in which loading a scenario takes them.
@@ -29,8 +29,8 @@ pub fn named(name: &str) -> Option<&'static PolicyEntry> {
     POLICIES.iter().find(|policy| policy.name == name)
 }
 
-/// Returns the names of the policies that satisfy `is_included`, joined by commas, for lists on the command line.
-pub fn names_where(is_included: impl Fn(&PolicyEntry) -> bool) -> String {
+/// Returns the names of the policies that satisfy `is_included`, joined by commas, as a list on the command line.
+pub fn comma_separated_names(is_included: impl Fn(&PolicyEntry) -> bool) -> String {
     let chosen = POLICIES.iter().filter(|policy| is_included(policy));
     chosen.map(|policy| policy.name).collect::<Vec<_>>().join(",")
 }

@@ -1,6 +1,6 @@
 //! Loads scenarios and the files that they name from the local disk, for the policies of this program. Other sources of
-//! files use [`load_with`](super::load_with). Outside `server` this is the only file of the crate that may read the
-//! disk, as `tests/tests/tidy/` checks.
+//! files use [`load_with_files`](super::load_with_files). Outside `server` this is the only file of the crate that may
+//! read the disk, as `tests/tests/tidy/` checks.
 
 use std::path::Path;
 
@@ -26,10 +26,10 @@ pub fn load_with_external(source: &str, overrides: &[Override]) -> Result<Loaded
     reveille_common::scenario::load(source, overrides, &outside::kinds_with_external(), &Disk)
 }
 
-/// Parses a scenario from the TOML `text`; see [`reveille_common::scenario::parse`].
+/// Parses a scenario from the TOML `text`. Messages call it `origin`; paths in it are relative to `base_dir`.
 ///
 /// # Errors
-/// See there.
+/// See [`reveille_common::scenario::parse`].
 pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
     reveille_common::scenario::parse(text, origin, base_dir, overrides, &registry::all_policies(), &Disk)
 }

@@ -1,9 +1,11 @@
 //! Scenarios with the policies of this program: [`reveille_common::scenario`] with the policy registry.
 //!
 //! [`load`] is the usual start. [`schema`] and [`reference()`] describe all fields; docs/scenario.md is the output of
-//! [`reference()`], so a change of a field or of head.md changes it too.
+//! [`reference()`], so a change of a field or of head.md changes it too. tests/fuzz/scenario.dict lists the names of
+//! fields and policies; `tests::pages` compares both files.
 
 use reveille_common::declare::Files;
+// The items below, such as `Scenario` and `load`, replace the generic ones of the same name.
 pub use reveille_common::scenario::*;
 
 use crate::policy::factory::PolicyEntry;
@@ -29,7 +31,7 @@ pub type Loaded = reveille_common::scenario::LoadedScenario<PolicyChoice>;
 ///
 /// # Errors
 /// See [`reveille_common::scenario::load`].
-pub fn load_with(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Loaded, ScenarioError> {
+pub fn load_with_files(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Loaded, ScenarioError> {
     reveille_common::scenario::load(source, overrides, &registry::all_policies(), files)
 }
 

@@ -1,5 +1,5 @@
 //! Actions of operators on a running run: checks and stores each one, and hands it to the run loop before the TTI in
-//! which it takes effect is granted.
+//! which it takes effect is granted. `subscriptions` passes the requests; docs/actions.md describes them.
 
 use std::sync::Arc;
 
@@ -18,12 +18,17 @@ pub(super) struct ActionHandler {
     pub(super) scenario: Scenario,
     /// The run's key, which operators must show; `None` if any client may act.
     pub(super) run_key: Option<Secret>,
-    /// Stores the actions.
+    /// Stores the actions; `None` if the run stores no external inputs, so that it accepts no action.
     pub(super) replay: Option<Arc<dyn ReplaySource>>,
 }
 
 impl ActionHandler {
-    /// Accepts `request`, sent with the key `shown`. Returns the TTI in which it takes effect.
+    /// Accepts `request`, sent with the key `shown`. Returns the TTI in which it takes effect. Either all changes of a
+    /// request are accepted or none.
+    ///
+    /// # Errors
+    /// The reason for the operator: a wrong key, an impossible change, a granted TTI, a removed device, or a failure to
+    /// store the actions, which also ends the run.
     pub(super) fn accept(&self, mut request: ActRequest, shown: Option<Secret>) -> Result<Tti, String> {
         if self.run_key.is_some_and(|key| shown != Some(key)) {
             return Err("an action needs the run's key; use the key of the process that started the run".to_owned());
@@ -32,8 +37,9 @@ impl ActionHandler {
         let replay = replay.ok_or("this run stores no external inputs, so it takes no actions")?;
         let devices = self.scenario.run.devices;
         for change in &request.changes {
-            check_change(&change.within(devices), &self.scenario)?;
+            check_change(&change.with_all_resolved(devices), &self.scenario)?;
         }
+        // Held to the end, so that the TTI from `action_tti` is not granted before the actions are pending.
         let mut state = self.shared.lock_between_grants();
         let changes = request.changes.into_iter();
         request.changes = changes
@@ -75,7 +81,8 @@ impl ServerState {
         }
     }
 
-    /// Returns `change`; one of all `devices` of the run as changes of those that have not been removed.
+    /// Returns `change` alone, or, if it concerns all `devices` of the run, a change for each range of devices that are
+    /// not removed.
     fn with_present_devices(&self, change: Change, devices: u32) -> Vec<Change> {
         if change.devices() != Some(DeviceRange::ALL) {
             return vec![change];

@@ -2,15 +2,19 @@
 //! deleted, so a [`HostId`] belongs to one process for the whole run.
 //!
 //! ```text
-//!              joins            ready and alive              alive again
-//!   no entry ───────► joined ─────────────────────► active ◄─────────────────┐
-//!                       │ late, or not alive any more  │ not alive any more,  │
-//!                       ▼                              ▼ or unresponsive      │
-//!                    revoked ◄────────────────────── lost (in `failover`) ────┘
+//!              joins            ready and alive               alive again
+//!   no entry ───────► joined ─────────────────────► active ◄────────────────────┐
+//!                       │ late, not alive any         │  │ not alive any more    │
+//!                       │ more, or the lost host      │  │ in the run, or        │
+//!                       │ that it replaces returns    │  ▼ unresponsive          │
+//!                       │                             │ lost (in `failover`) ────┘
+//!                       │ not alive any more          │  │ taken over
+//!                       ▼ before the run begins       ▼  ▼ or removed
+//!                    revoked ◄────────────────────────┴──┘
 //! ```
 //!
-//! A host is alive while its liveliness token exists on the bus. An unresponsive host stays active here.
-//! `tests/fuzz/fuzz_targets/hosts.rs` checks the order of these calls.
+//! A host is alive while its liveliness token exists on the bus. A host that is lost because it was unresponsive stays
+//! active here. `tests/fuzz/fuzz_targets/hosts.rs` checks the order of these calls.
 
 use std::time::{Duration, Instant};
 
@@ -24,7 +28,7 @@ pub struct Assignment {
     pub host: HostId,
     /// Its first device.
     pub first: DeviceId,
-    /// Number of devices, with consecutive ids.
+    /// Number of devices, with consecutive ids, ≥ 1.
     pub count: u32,
 }
 
@@ -44,8 +48,8 @@ pub struct JoiningHost {
     pub token: Secret,
     /// Its name, for logs.
     pub name: String,
-    /// Number of devices that it offers to run.
-    pub count: u32,
+    /// Number of devices that it offers to run; any number, since the host sends it.
+    pub offered_devices: u32,
     /// Time of its request.
     pub requested_at: Instant,
 }
@@ -91,25 +95,27 @@ impl Admission {
         self.devices
     }
 
-    /// The assignment and token of the host that drew `nonce`, if it has joined before.
+    /// The assignment and secret token of the host that drew `nonce`, if it has joined and is not revoked.
     pub fn find_by_nonce(&self, nonce: u64) -> Option<(Assignment, Secret)> {
         let entry = self.hosts.iter().find(|e| e.request.nonce == nonce && !e.is_revoked)?;
         Some((entry.assignment, entry.request.token))
     }
 
-    /// Assigns free devices to `request`, at most as many as it offers to run; `None` if no device is free.
+    /// Assigns free devices to `request`, at most as many as it offers to run; `None` if no device is free. The caller
+    /// has checked with [`Self::find_by_nonce`] that the host has no assignment yet.
     pub fn admit(&mut self, request: JoiningHost) -> Option<Assignment> {
         let (first, available) = self.free_ranges.pop()?;
         // The count comes from another process and may be 0. A host has at least one device, as `Assignment::last`
         // requires.
-        let count = request.count.clamp(1, available);
+        let count = request.offered_devices.clamp(1, available);
         if count < available {
             self.free_ranges.push((first + count, available - count));
         }
         Some(self.add_host(request, DeviceId(first), count))
     }
 
-    /// Assigns the devices of a lost host to `request`.
+    /// Assigns the devices of a lost host to `request`. The lost host keeps its assignment until [`Self::revoke`], in
+    /// case it returns first.
     pub fn take_over(&mut self, request: JoiningHost, lost: Assignment) -> Assignment {
         self.add_host(request, lost.first, lost.count)
     }
@@ -170,7 +176,8 @@ impl Admission {
             .collect()
     }
 
-    /// Removes a host before the run begins, and frees its devices.
+    /// Revokes a host before the run begins, and frees its devices. In a run only [`Self::revoke`] may be used, because
+    /// the devices have states.
     pub fn free_host(&mut self, host: HostId) -> Option<Assignment> {
         let assignment = self.revoke(host)?;
         self.free_ranges.push((assignment.first.0, assignment.count));
@@ -212,9 +219,9 @@ impl Admission {
 
     /// The assignments of all hosts, once every device has a host and every host runs its devices.
     pub fn assignments_if_all_active(&self) -> Option<Vec<Assignment>> {
-        let remaining = || self.hosts.iter().filter(|entry| !entry.is_revoked);
-        (self.assigned_device_count() == self.devices && remaining().all(HostEntry::is_active))
-            .then(|| remaining().map(|entry| entry.assignment).collect())
+        let assigned_hosts = || self.hosts.iter().filter(|entry| !entry.is_revoked);
+        (self.assigned_device_count() == self.devices && assigned_hosts().all(HostEntry::is_active))
+            .then(|| assigned_hosts().map(|entry| entry.assignment).collect())
     }
 }
 
@@ -223,12 +230,12 @@ impl Admission {
 mod tests {
     use super::*;
 
-    fn joining_host(nonce: u64, count: u32) -> JoiningHost {
+    fn joining_host(nonce: u64, offered_devices: u32) -> JoiningHost {
         JoiningHost {
             nonce,
             token: Secret::new([nonce as u8; 16]),
             name: format!("host {nonce}"),
-            count,
+            offered_devices,
             requested_at: Instant::now(),
         }
     }

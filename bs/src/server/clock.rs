@@ -12,13 +12,15 @@ const MAX_MICROS_PER_TTI: u64 = 86_400_000_000;
 /// The virtual clock: the TTI at which it must stop, and its pace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VirtualClock {
+    /// The first TTI that must not be granted yet; [`Tti::NEVER`] while no command stops the clock.
     until: Tti,
+    /// The TTI before which the run ends.
     end: Tti,
     pace: Pace,
 }
 
 impl VirtualClock {
-    /// Creates a clock that runs to `end` at `pace`.
+    /// Creates a clock that runs to `end` at `pace`. The caller bounds the pace: an `Instant` must hold every due time.
     pub const fn new(end: Tti, pace: Pace) -> Self {
         Self {
             until: Tti::NEVER,
@@ -27,8 +29,8 @@ impl VirtualClock {
         }
     }
 
-    /// Applies `command`, with `next` as the next TTI to grant. A `RunTo` with a past TTI, or one after the end, has no
-    /// effect. A pace slower than one day per TTI becomes one day per TTI.
+    /// Applies `command`, with `next` as the next TTI to grant, at which a pause or step begins. A `RunTo` with a past
+    /// TTI, or one after the end, has no effect. A pace slower than one day per TTI becomes one day per TTI.
     pub fn apply(&mut self, command: ClockCommand, next: Tti) {
         match command {
             ClockCommand::Pause => self.until = next,

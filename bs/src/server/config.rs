@@ -1,5 +1,6 @@
 //! Settings, progress and outcome of a run over the bus. `deploy/src/commands/bs.rs` sets the settings and reads the
-//! outcome; displays and supervisors in other threads share [`RunProgress`]. Nothing here is serialised.
+//! outcome; displays and supervisors in other threads share [`RunProgress`]. Nothing here is serialised as it is: that
+//! file copies fields into `summary.json`.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -44,19 +45,19 @@ pub enum OnUndecided {
     Hold,
 }
 
-/// Counts of decision requests with and without a decision of a policy process.
+/// Counts of decision requests with and without a decision of a policy process, and of the answers that do not count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DecisionCounts {
     /// Decisions of policy processes.
     pub decided: u64,
     /// Answers that were invalid, or came after the one that counted.
-    pub refused: u64,
+    pub refused_answers: u64,
     /// Requests without a decision: the current plan was kept, or no device was woken.
     pub held: u64,
 }
 
-/// Settings of a base station on the bus. They do not change the outcome, except that [`OnLoss::Continue`] removes the
-/// devices of lost hosts.
+/// Settings of a base station on the bus. They do not change the outcome of a completed run, except that
+/// [`OnLoss::Continue`] removes the devices of lost hosts.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerConfig {
     /// Grant as many TTIs at a time as possible, or one.
@@ -65,7 +66,7 @@ pub struct ServerConfig {
     pub pace: Pace,
     /// Action when a host is lost.
     pub on_loss: OnLoss,
-    /// TTIs in a window of the per-window series.
+    /// TTIs in a window of the per-window series, ≥ 1. `serve` does not read it: its caller makes the session with it.
     pub window_ttis: u64,
     /// Time to wait for all devices to join; `None` for no limit.
     pub join_timeout: Option<Duration>,
@@ -79,7 +80,7 @@ pub struct ServerConfig {
     pub join_needs_key: bool,
 }
 
-/// Progress of a run, for a display in another thread.
+/// Progress of a run, for a display in another thread. `join` and the run loop write it; supervisors request a stop.
 #[derive(Debug, Default)]
 pub struct RunProgress {
     /// Devices that have joined.
@@ -92,7 +93,7 @@ pub struct RunProgress {
     pub events: AtomicU64,
     /// Counted events that have ended without a report.
     pub misdetected: AtomicU64,
-    /// Mean battery over the last window, micro-units.
+    /// Mean battery of a device over the last window, micro-units.
     pub mean_battery_micro: AtomicU64,
     /// Whether the clock is paused.
     pub is_paused: AtomicBool,
@@ -102,9 +103,9 @@ pub struct RunProgress {
     pub late_ttis: AtomicU64,
     /// The largest delay of a TTI, nanoseconds.
     pub max_late_ns: AtomicU64,
-    /// The hosts' assignments and names.
+    /// The assignments and names of all hosts that are not removed; replaced at each retransmission.
     pub owners: Mutex<Vec<(Assignment, String)>>,
-    /// Reason why the run cannot continue.
+    /// Reason why the run cannot continue, if a thread other than the run loop has found one.
     stop_cause: OnceLock<String>,
     stop_requested: AtomicBool,
 }

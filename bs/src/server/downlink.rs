@@ -1,8 +1,8 @@
 //! Messages from the base station to hosts, kept until the next grant so that the run loop can retransmit them.
 //!
 //! A host that missed a message, or takes over devices as before the grant, receives all of them again, in order. A
-//! host that already has them ignores the repetition (`device/src/grant_follower/`). Hosts rely on the order: plans,
-//! their grant, then the wake-ups of that grant.
+//! host that already has them ignores the repetition (`device/src/grant_follower/`). Hosts rely on the order: plans and
+//! changes, their grant, then the wake-ups of that grant. `dismiss_hosts` in `serve` sends without this file.
 
 use reveille_common::bus::{Bus, BusError, TopicPublisher};
 use reveille_common::ids::{DeviceId, HostId};
@@ -15,7 +15,9 @@ pub(super) struct Downlink<'a> {
     plan_topic: TopicPublisher<PlanUpdate>,
     /// The plans of the open grant.
     plans: Vec<PlanUpdate>,
+    /// The changes of the open grant, a [`ClockMessage::Act`], if it has any.
     changes: Option<ClockMessage>,
+    /// The open grant.
     grant: Option<ClockMessage>,
     /// The wake-ups of the open grant, with the host to which each was sent.
     wake_ups: Vec<(HostId, DeviceId, WakeUp)>,
@@ -38,8 +40,8 @@ impl<'a> Downlink<'a> {
         })
     }
 
-    /// Drops the messages of the last grant, which all hosts have completed.
-    pub(super) fn drop_messages(&mut self) {
+    /// Drops the messages of the last grant, before the next one. The caller has the answers of all hosts to it.
+    pub(super) fn drop_grant_messages(&mut self) {
         (self.grant, self.changes) = (None, None);
         self.plans.clear();
         self.wake_ups.clear();
@@ -53,13 +55,13 @@ impl<'a> Downlink<'a> {
     }
 
     /// Sends changes, a grant, or the end of the run.
-    pub(super) fn send_clock(&mut self, clock: ClockMessage) -> Result<(), BusError> {
-        self.clock_topic.publish(&clock)?;
-        match clock {
-            ClockMessage::Act(..) => self.changes = Some(clock),
-            ClockMessage::Grant(_) => self.grant = Some(clock),
+    pub(super) fn send_clock(&mut self, message: ClockMessage) -> Result<(), BusError> {
+        self.clock_topic.publish(&message)?;
+        match message {
+            ClockMessage::Act(..) => self.changes = Some(message),
+            ClockMessage::Grant(_) => self.grant = Some(message),
             ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => {
-                self.end_message = Some(clock);
+                self.end_message = Some(message);
             }
         }
         Ok(())

@@ -1,5 +1,6 @@
 //! Errors that end a run over the bus. `run_loop` replaces an interruption ([`BsError::is_interruption`]) by the
 //! outcome so far if it has a replay. Without a replay, the exit code is that for interruptions (`deploy/src/exit.rs`).
+//! Operators read the texts; tests in `tests/program/` compare some, and texts name options of `deploy/src/cli/`.
 
 use reveille_common::bus::BusError;
 use reveille_common::ids::{HostId, Tti};
@@ -17,7 +18,7 @@ pub enum BsError {
         joined: u32,
         /// Devices of the scenario.
         devices: u32,
-        /// The time allowed.
+        /// The time waited, at least the join timeout.
         seconds: u64,
     },
     /// A host is lost.

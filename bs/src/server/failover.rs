@@ -16,7 +16,8 @@ use crate::cycle::RunOutcome;
 use crate::policy::external::RecordedDecision;
 
 /// A replay of the run, which knows all devices at any TTI: their behaviour follows from the scenario, the seed and the
-/// external inputs.
+/// external inputs. Every input before TTI `k` must be recorded before a question about `k`. All methods block; the
+/// `record_*` methods also write the input log. `deploy/src/audit.rs` implements it.
 pub trait ReplaySource: Send + Sync {
     /// Returns the checkpoints of `count` devices, starting with `first`, before TTI `k`. May take as long as running
     /// the first `k` TTIs in memory.
@@ -113,7 +114,8 @@ impl LostHosts {
             .collect()
     }
 
-    /// Sets the checkpoint that a replay found for the devices of `host`. Ignores a result for an earlier loss.
+    /// Sets the checkpoint that a replay found for the devices of `host`. Ignores a result for an earlier loss: its TTI
+    /// differs from the last one passed to [`Self::request_replays`].
     pub fn set_checkpoint(&mut self, host: HostId, checkpoint: HostCheckpoint) {
         // A host can return and be lost again in a later TTI; a result for the earlier TTI is stale.
         if let Some(index) = self
@@ -124,13 +126,14 @@ impl LostHosts {
         }
     }
 
-    /// Returns the largest lost assignment of at most `count` devices that has a checkpoint and is not reserved.
-    pub fn find_takeover(&self, count: u32) -> Option<(Assignment, Arc<HostCheckpoint>)> {
+    /// Returns the largest lost assignment of at most `offered_devices` devices that has a checkpoint and is not
+    /// reserved.
+    pub fn find_takeover(&self, offered_devices: u32) -> Option<(Assignment, Arc<HostCheckpoint>)> {
         let unreserved = self
             .pending
             .iter()
             // The roster replaces a host as a whole, so devices of one lost host are never shared between newcomers.
-            .filter(|takeover| takeover.reserved_for.is_none() && takeover.assignment.count <= count);
+            .filter(|takeover| takeover.reserved_for.is_none() && takeover.assignment.count <= offered_devices);
         let restorable =
             unreserved.filter_map(|takeover| Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?))));
         restorable.max_by_key(|(assignment, _)| assignment.count)
@@ -145,7 +148,7 @@ impl LostHosts {
         Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?)))
     }
 
-    /// Reserves the devices of `lost` for `newcomer`.
+    /// Reserves the devices of `lost`, found by [`Self::find_takeover`], for `newcomer`.
     pub fn reserve(&mut self, lost: HostId, newcomer: HostId) {
         if let Some(index) = self.position(lost) {
             self.pending[index].reserved_for = Some(newcomer);
@@ -163,7 +166,7 @@ impl LostHosts {
         }
     }
 
-    /// Drops the lost host `host`, so that no host takes over its devices.
+    /// Drops the lost host `host`, so that no host takes over its devices. [`Self::loss_durations`] leaves it out.
     pub fn drop_host(&mut self, host: HostId) {
         self.pending.retain(|takeover| takeover.assignment.host != host);
     }

@@ -31,7 +31,8 @@ impl RunLoop<'_> {
         }
     }
 
-    /// Checks whether the run can continue after host losses, and starts the removals or replays that it needs.
+    /// Checks whether the run can continue after host losses, and starts the removals or replays that it needs. Every
+    /// wait of the run loop calls it at each check, under the lock.
     pub(super) fn handle_lost_hosts(&self, state: &mut ServerState) -> Result<(), BsError> {
         if let Some(why) = state.failure.take() {
             return Err(BsError::CannotContinue(why));

@@ -1,4 +1,5 @@
-//! Answers to join requests, before the first TTI and after a loss, and the wait for all devices.
+//! Answers to join requests, before the first TTI and after a loss, the wait for all devices, and the changes of
+//! [`ServerState`] when hosts are lost, removed or replaced, for `subscriptions` and `failure_detection`.
 //!
 //! `admission` assigns free devices, `failover` the devices of lost hosts. A welcome holds the setup of every device,
 //! so it is built without the lock of [`SharedState`]. After `Retry` a spare host repeats its request; `Refused` ends
@@ -23,7 +24,7 @@ use crate::scenario::Scenario;
 /// Interval between checks of the time limit and the stop flag during the wait for hosts.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Time for a joined host to become ready, in a run with few hosts.
+/// Time for a joined host to become ready, before [`scaled_timeout`] lengthens it in a run with many hosts.
 const READY_TIMEOUT: Duration = Duration::from_secs(20);
 
 pub(super) struct JoinHandler {
@@ -34,7 +35,7 @@ pub(super) struct JoinHandler {
     pub(super) bus_secret: Secret,
     /// The key that a host must show to join, if any.
     pub(super) required_key: Option<Secret>,
-    /// The devices of a resumed run.
+    /// The devices of a resumed run, all of them in the order of ids.
     pub(super) resumed_devices: Option<Arc<HostCheckpoint>>,
 }
 
@@ -56,9 +57,10 @@ impl JoinHandler {
         let reply = self.assign_devices(request);
         // This wakes the loop, which takes the lock that `assign_devices` has released.
         self.shared.notify_run_loop();
-        reply.unwrap_or_else(|refusal| refusal)
+        reply.unwrap_or_else(|refusal_or_retry| refusal_or_retry)
     }
 
+    /// Returns a welcome, or else the refusal or retry to send.
     fn assign_devices(&self, request: &JoinRequest) -> Result<JoinReply, JoinReply> {
         let mut state = self.shared.lock();
         // A reply can get lost, so a repeated request gets the same assignment again, not a second one.
@@ -76,7 +78,7 @@ impl JoinHandler {
             token: draw_secret().map_err(|error| JoinReply::Refused(error.to_string()))?,
             // Another process chose the name, which appears in logs, so its characters and length are limited.
             name: request.name.chars().filter(|c| !c.is_control()).take(64).collect(),
-            count: request.count,
+            offered_devices: request.count,
             requested_at: now(),
         };
         let token = newcomer.token;
@@ -86,8 +88,8 @@ impl JoinHandler {
             if state.on_loss != OnLoss::Wait {
                 return Err(JoinReply::Refused("the run has begun".to_owned()));
             }
-            let Some((lost, checkpoint)) = state.lost_hosts.find_takeover(newcomer.count) else {
-                return Err(retry_reply(&state, newcomer.count));
+            let Some((lost, checkpoint)) = state.lost_hosts.find_takeover(newcomer.offered_devices) else {
+                return Err(retry_reply(&state, newcomer.offered_devices));
             };
             let assignment = state.admission.take_over(newcomer, lost);
             state.lost_hosts.reserve(lost.host, assignment.host);
@@ -135,23 +137,23 @@ impl JoinHandler {
     }
 }
 
-/// Builds the reply for a host that offers to run `count` devices while no devices are available for it.
-fn retry_reply(state: &ServerState, count: u32) -> JoinReply {
-    let lost: Vec<u32> = state
+/// Builds the reply for a host that offers to run `offered` devices while no devices are available for it.
+fn retry_reply(state: &ServerState, offered: u32) -> JoinReply {
+    let lost_counts: Vec<u32> = state
         .lost_hosts
         .assignments()
         .map(|assignment| assignment.count)
         .collect();
-    JoinReply::Retry(if lost.is_empty() {
+    JoinReply::Retry(if lost_counts.is_empty() {
         format!("all {} devices of the run have a host", state.admission.devices())
-    } else if lost.iter().any(|lost| *lost <= count) {
+    } else if lost_counts.iter().any(|count| *count <= offered) {
         "the devices of a lost host are not ready for this process: their replay runs, or another process has them"
             .to_owned()
     } else {
-        let lost: Vec<String> = lost.iter().map(u32::to_string).collect();
+        let ranges: Vec<String> = lost_counts.iter().map(u32::to_string).collect();
         format!(
-            "lost hosts left {} devices, and each of these ranges needs one host; this process offers to run {count}",
-            lost.join(" + ")
+            "lost hosts left {} devices, and each of these ranges needs one host; this process offers to run {offered}",
+            ranges.join(" + ")
         )
     })
 }
@@ -168,7 +170,8 @@ impl ServerState {
         }
     }
 
-    /// Removes the lost host with this assignment for good. The run loop then removes its devices from the session.
+    /// Removes the lost host with this assignment for good. The run loop then removes its devices from the session: see
+    /// [`ServerState::pending_removals`].
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);
         self.admission.revoke(assignment.host);
@@ -235,7 +238,8 @@ pub(super) async fn wait_for_all_devices(
                 state.is_running = true;
                 return Ok(());
             }
-            // A process can die between joining and declaring its token; no token event would then free its devices.
+            // A process can die between joining and declaring its liveliness token; no token event would then free its
+            // devices.
             for host in state.overdue_hosts() {
                 tracing::warn!(%host, "a host joined and never became ready; its devices are free again");
                 state.admission.free_host(host);

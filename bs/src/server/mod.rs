@@ -1,6 +1,5 @@
 //! The asynchronous part of the base station: connects the [`Session`](crate::session::Session), which decides without
-//! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings that do not
-//! change its outcome.
+//! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings of the bus side.
 //!
 //! `subscriptions` receives all messages and checks credentials; `state` is shared by its callbacks and the run loop.
 //! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through

@@ -19,7 +19,7 @@ struct RemovedHost {
     totals: Option<DeviceTotals>,
 }
 
-/// All removed hosts. A replay supplies the ledgers of their devices.
+/// All removed hosts. A replay supplies the ledgers of their devices; without one every method with a result fails.
 pub(super) struct RemovedHosts {
     replay: Option<Arc<dyn ReplaySource>>,
     hosts: Vec<RemovedHost>,
@@ -33,12 +33,12 @@ impl RemovedHosts {
     }
 
     fn replay(&self) -> Result<&dyn ReplaySource, BsError> {
-        let none = || BsError::CannotContinue("no replay is available for the ledgers of lost devices".to_owned());
-        self.replay.as_deref().ok_or_else(none)
+        let no_replay = || BsError::CannotContinue("no replay is available for the ledgers of lost devices".to_owned());
+        self.replay.as_deref().ok_or_else(no_replay)
     }
 
-    /// Adds a host with this assignment, lost in the open TTI. From now on this list accounts for all its devices,
-    /// including those removed before the run was resumed.
+    /// Adds a host with this assignment, lost in the open TTI `lost_in`. From now on this list accounts for all its
+    /// devices, including those removed before the run was resumed.
     pub(super) fn add(&mut self, assignment: Assignment, lost_in: Tti) {
         let totals = None;
         self.hosts.push(RemovedHost {
@@ -48,7 +48,7 @@ impl RemovedHosts {
         });
     }
 
-    /// Writes the removal of devices to the input log and adds it to the replay, before it takes effect.
+    /// Writes the removal of devices to the input log and adds it to the replay, before the session removes them.
     pub(super) fn log_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
         self.replay()?.record_removal(removal).map_err(BsError::CannotContinue)
     }

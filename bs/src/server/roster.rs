@@ -9,7 +9,8 @@ use reveille_common::units::Energy;
 
 use super::admission::Assignment;
 
-/// The devices of a run and the hosts that they are assigned to.
+/// The devices of a run and the hosts that they are assigned to. Each host has a position; a successor takes it over,
+/// and a removed host keeps it. Methods with a `position` panic unless it is below [`Self::host_count`].
 #[derive(Clone, Debug)]
 pub struct Roster {
     devices: Vec<DeviceSetup>,
@@ -37,7 +38,7 @@ impl Roster {
         }
     }
 
-    /// Sets the hosts with which the run begins. Together they own every device.
+    /// Sets the hosts with which the run begins. The caller ensures that they own every device, each only once.
     pub fn set_hosts(&mut self, assignments: Vec<Assignment>) {
         self.positions.clear();
         self.owners = vec![0; self.devices.len()];
@@ -49,7 +50,8 @@ impl Roster {
         self.assignments = assignments;
     }
 
-    /// Removes the host at `position` with its devices. The barrier calls this once it expects nothing from the host.
+    /// Removes the host at `position` with its devices. Only the barrier calls this, once it expects nothing from the
+    /// host.
     pub fn remove_host(&mut self, position: usize) {
         self.set_position(self.assignments[position].host, None);
         self.removed[position] = true;
@@ -130,7 +132,7 @@ impl Roster {
         battery_fits && (0.0..=self.psi).contains(&report.information)
     }
 
-    /// Whether `failure` is possible.
+    /// Whether `failure` is possible for its device, whichever host sends it.
     pub(crate) fn is_possible_failure(&self, failure: &FailedTransmission) -> bool {
         self.setup(failure.device)
             // A device fails only when it holds less than E_Tx, and it loses its whole level.
@@ -147,6 +149,7 @@ impl Roster {
                 // With power, waking costs E_idle in full; without enough, the battery is emptied by less than that.
                 if *powered { *spent == e_idle } else { *spent < e_idle }
             }),
+            // In both cases the host sends a report instead, and the base station decides whether it is lost.
             WakeOutcome::Reported(_) | WakeOutcome::Lost(_) => false,
         }
     }

@@ -56,8 +56,9 @@ pub(super) struct RunLoop<'a> {
     pub(super) context: LoopContext<'a>,
     pub(super) session: Session,
     removed_hosts: RemovedHosts,
-    grants: u64,
+    grant_count: u64,
     lateness: Lateness,
+    /// The pace to which `last_due` belongs; the clock may have a new one.
     pace: Pace,
     /// The last TTI whose due time [`RunLoop::wait_until_due`] has reached.
     last_paced: Option<Tti>,
@@ -78,7 +79,7 @@ pub(super) async fn run(
         removed_hosts: RemovedHosts::new(context.replay.clone()),
         context,
         session,
-        grants: 0,
+        grant_count: 0,
         lateness: Lateness::default(),
         last_paced: None,
         last_due: None,
@@ -109,7 +110,7 @@ pub(super) async fn run(
         joining_time,
         running_time,
         host_count: state.barrier.roster_mut().host_count(),
-        grant_count: run_loop.grants,
+        grant_count: run_loop.grant_count,
         lateness: run_loop.lateness,
         malformed_payloads: run_loop.context.bus.malformed_payloads(),
         unexpected_messages: state.barrier.unexpected_messages(),
@@ -216,7 +217,7 @@ impl RunLoop<'_> {
             .pending_decision()
             .expect("the session requests a decision");
         let tti = request.observation.now;
-        if let Some(queued) = self.session.input_queue().next_decision() {
+        if let Some(queued) = self.session.input_queue().next_decision_tti() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has a decision for TTI {queued}, but TTI {tti} needs one; use the inputs.log of this run"
             )));
@@ -254,6 +255,7 @@ impl RunLoop<'_> {
         // From here on no operator can act in a TTI that this call grants.
         let actions = {
             let mut state = self.context.shared.lock();
+            // `end_granting` below must follow on every path: callbacks of actions block until then.
             state.is_granting = true;
             std::mem::take(&mut state.pending_actions)
         };
@@ -272,7 +274,7 @@ impl RunLoop<'_> {
     }
 
     fn send_grant(&mut self, changes: Vec<Change>, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
-        self.downlink.drop_messages();
+        self.downlink.drop_grant_messages();
         for update in updates {
             tracing::debug!(from = %update.from, "the plan is sent");
             self.downlink.send_plan(update)?;
@@ -292,15 +294,15 @@ impl RunLoop<'_> {
         {
             let mut state = self.context.shared.lock();
             let options = GrantOptions {
-                totals: wants_totals,
-                views: wants_views,
+                wants_totals,
+                wants_views,
             };
             state.barrier.expect_grant(last, stimulus.is_some(), options);
         }
         self.context.bus.set_tti(last);
         self.downlink
             .send_clock(ClockMessage::Grant(*self.session.grant_message()))?;
-        self.grants += 1;
+        self.grant_count += 1;
         tracing::trace!(%first, %last, ?stimulus, "granted");
         Ok(())
     }
@@ -388,15 +390,15 @@ impl RunLoop<'_> {
             .progress
             .misdetected
             .store(event_totals.misdetected, Ordering::Relaxed);
-        let hosts = {
+        let active_hosts = {
             let mut state = self.context.shared.lock();
-            let with_devices = state.barrier.roster_mut().active_host_count();
-            with_devices.saturating_sub(state.lost_hosts.assignments().count())
+            let remaining_hosts = state.barrier.roster_mut().active_host_count();
+            remaining_hosts.saturating_sub(state.lost_hosts.assignments().count())
         };
         self.context
             .progress
             .active_host_count
-            .store(hosts as u64, Ordering::Relaxed);
+            .store(active_hosts as u64, Ordering::Relaxed);
         self.context
             .progress
             .late_ttis

@@ -27,7 +27,7 @@ pub struct RunSpec<'a> {
     pub prepared: &'a PreparedRun,
     /// The run, before TTI 0 or resumed.
     pub session: Session,
-    /// Checkpoint of a resumed run, for its first hosts.
+    /// Checkpoint of all devices of a resumed run before the next TTI of `session`, for its first hosts.
     pub checkpoint: Option<Arc<HostCheckpoint>>,
     /// Replay that restores the devices of lost hosts and stores external inputs. Without it no other host can take
     /// over these devices, and their removal ends the run.
@@ -90,11 +90,11 @@ struct BusObserver<'a> {
 }
 
 impl<'a> BusObserver<'a> {
-    /// Sends the states of all devices every `states_every` TTIs; 0 for never.
-    fn new(bus: &'a Bus, states_every: u64) -> Self {
+    /// Sends the states of all devices every `state_interval_ttis` TTIs; 0 for never.
+    fn new(bus: &'a Bus, state_interval_ttis: u64) -> Self {
         Self {
             bus,
-            frame_observer: FrameObserver::new(states_every, Box::new(|frame| bus.publish_frame(frame))),
+            frame_observer: FrameObserver::new(state_interval_ttis, Box::new(|frame| bus.publish_frame(frame))),
         }
     }
 }

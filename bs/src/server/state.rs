@@ -35,7 +35,8 @@ pub(super) struct ServerState {
     pub(super) removed_devices: BTreeSet<DeviceId>,
     /// Accepted actions that the run loop has yet to queue, all in TTIs from `next_tti` on.
     pub(super) pending_actions: Vec<OperatorAction>,
-    /// Whether the run loop is deciding which TTIs to grant next, so that `next_tti` is about to change.
+    /// Whether the run loop is deciding which TTIs to grant next, so that `next_tti` is about to change. Only
+    /// [`SharedState::end_granting`] resets it.
     pub(super) is_granting: bool,
     /// Lost hosts whose loss the log has reported.
     pub(super) warned_hosts: BTreeSet<HostId>,
@@ -77,7 +78,7 @@ impl ServerState {
             tti: self.next_tti,
             ttis: end.0,
             paused: self.is_paused && self.next_tti >= self.clock.until(),
-            until: self.clock.until().min(end),
+            stop_before: self.clock.until().min(end),
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
@@ -103,7 +104,8 @@ pub(super) struct SharedState {
 }
 
 impl SharedState {
-    /// Creates the state of a run that begins with TTI `next_tti`.
+    /// Creates the state of a run that begins with TTI `next_tti`, without hosts. `serve` adds the removed devices of a
+    /// resumed run.
     pub(super) fn new(
         scenario: &Scenario,
         deployment: &Deployment,
@@ -138,6 +140,7 @@ impl SharedState {
         })
     }
 
+    /// Locks the state. The caller neither sends nor waits before it unlocks.
     pub(super) fn lock(&self) -> MutexGuard<'_, ServerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -156,12 +159,14 @@ impl SharedState {
         self.has_granted.notify_all();
     }
 
+    /// Wakes the run loop, which then locks the state and checks it again.
     pub(super) fn notify_run_loop(&self) {
-        // `notify_one` keeps a permit, so a signal between a check of the loop and its wait is not lost. Only the loop
+        // `notify_one` keeps a permit, so a signal between a check of the loop and its wait is not lost. Only one task
         // waits.
         self.changed.notify_one();
     }
 
+    /// Waits for [`Self::notify_run_loop`]. Only the run loop and the wait for hosts before it call this.
     pub(super) async fn wait_for_change(&self) {
         self.changed.notified().await;
     }

@@ -1,6 +1,7 @@
-//! Subscriptions and queryables of the base station: every message from the bus enters the shared state here. This file
-//! checks the credentials of hosts and the run's key of clock commands, `actions` and `join` check the key of their
-//! requests, and `roster` the values.
+//! Subscriptions and queryables of a run: messages of hosts and operators enter the shared state here. This file checks
+//! the credentials of hosts and the run's key of clock commands, `actions` and `join` check the key of their requests,
+//! and `roster` the values. `deploy/src/commands/bs.rs` serves the description and the input log of the run, and
+//! [`super::policy_port`] asks policy processes.
 
 use std::sync::Arc;
 
@@ -16,7 +17,10 @@ use super::join::JoinHandler;
 use super::state::{ServerState, SharedState, now};
 use crate::scenario::Scenario;
 
-/// Declares all subscriptions and queryables of the base station.
+/// Declares all subscriptions and queryables, until the guards are dropped. `bus` must be the base station's session.
+///
+/// # Errors
+/// If `bus` is another session, or zenoh refuses.
 pub(super) fn declare(
     bus: &Bus,
     scenario: &Scenario,
@@ -32,22 +36,22 @@ pub(super) fn declare(
         .ok_or_else(|| BusError::Refused("this session does not belong to a base station".to_owned()))?;
     let mut guards = Vec::new();
     let shared_state = Arc::clone(shared);
-    guards.push(bus.subscribe_uplinks(move |pass, report: Report| {
-        handle_host_message(&shared_state, pass, |state| {
-            state.barrier.receive_report(pass.host, report)
+    guards.push(bus.subscribe_uplinks(move |credential, report: Report| {
+        handle_host_message(&shared_state, credential, |state| {
+            state.barrier.receive_report(credential.host, report)
         });
     })?);
     let shared_state = Arc::clone(shared);
-    guards.push(bus.subscribe_uplinks(move |pass, answer: HostAnswer| {
-        handle_host_message(&shared_state, pass, |state| {
-            state.barrier.receive_answer(pass.host, answer)
+    guards.push(bus.subscribe_uplinks(move |credential, answer: HostAnswer| {
+        handle_host_message(&shared_state, credential, |state| {
+            state.barrier.receive_answer(credential.host, answer)
         });
     })?);
     let shared_state = Arc::clone(shared);
     guards.push(
         bus.watch_alive(key_exprs.all_host_liveliness(), move |key_expr, is_alive| {
-            if let Some(pass) = HostCredential::from_key_expr(key_expr) {
-                shared_state.lock().on_liveliness(pass, is_alive);
+            if let Some(credential) = HostCredential::from_key_expr(key_expr) {
+                shared_state.lock().on_liveliness(credential, is_alive);
                 shared_state.notify_run_loop();
             }
         })?,
@@ -67,21 +71,21 @@ pub(super) fn declare(
         shared_state.notify_run_loop();
         Ok(state.clock_status())
     })?);
-    let actions = ActionHandler {
+    let action_handler = ActionHandler {
         shared: Arc::clone(shared),
         scenario: scenario.clone(),
         run_key: settings.run_key,
         replay,
     };
-    guards.push(bus.serve_with_secret(move |request: ActRequest, shown| actions.accept(request, shown))?);
+    guards.push(bus.serve_with_secret(move |request: ActRequest, shown| action_handler.accept(request, shown))?);
     let shared_state = Arc::clone(shared);
     guards.push(bus.serve_with_secret(move |Ready { host }, shown| {
-        let pass = shown.map(|secret| HostCredential { host, token: secret });
-        let is_known = pass.is_some_and(|pass| shared_state.lock().on_ready(pass));
+        let credential = shown.map(|secret| HostCredential { host, token: secret });
+        let is_known = credential.is_some_and(|credential| shared_state.lock().on_ready(credential));
         shared_state.notify_run_loop();
         Ok(is_known)
     })?);
-    let handler = JoinHandler {
+    let join_handler = JoinHandler {
         shared: Arc::clone(shared),
         scenario: scenario.clone(),
         deployment: deployment.clone(),
@@ -89,17 +93,23 @@ pub(super) fn declare(
         required_key: settings.run_key.filter(|_| settings.join_needs_key),
         resumed_devices: checkpoint,
     };
-    guards.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.handle_request(&request, shown)))?);
+    guards.push(
+        bus.serve_with_secret(move |request: JoinRequest, shown| Ok(join_handler.handle_request(&request, shown)))?,
+    );
     // Declared last, so that no process finds the base station alive before its queryables exist.
     guards.push(bus.declare_alive(key_exprs.bs_liveliness())?);
     Ok(guards)
 }
 
 /// Passes a message from a host to `handle`, which returns whether it completes the barrier.
-fn handle_host_message(shared: &SharedState, pass: HostCredential, handle: impl FnOnce(&mut ServerState) -> bool) {
+fn handle_host_message(
+    shared: &SharedState,
+    credential: HostCredential,
+    handle: impl FnOnce(&mut ServerState) -> bool,
+) {
     let mut state = shared.lock();
     // The credential comes from the message's key expression; a revoked host or an unknown process has no valid one.
-    if !state.admission.is_valid(pass) {
+    if !state.admission.is_valid(credential) {
         state.barrier.count_unexpected();
     } else if handle(&mut state) {
         drop(state);
@@ -110,18 +120,18 @@ fn handle_host_message(shared: &SharedState, pass: HostCredential, handle: impl 
 impl ServerState {
     /// Records that the host with this credential has made all its subscriptions. Returns whether the credential is
     /// valid.
-    fn on_ready(&mut self, pass: HostCredential) -> bool {
-        let is_valid = self.admission.mark_ready(pass);
+    fn on_ready(&mut self, credential: HostCredential) -> bool {
+        let is_valid = self.admission.mark_ready(credential);
         if is_valid {
-            self.try_complete_takeover(pass.host);
+            self.try_complete_takeover(credential.host);
         }
         is_valid
     }
 
     /// Records that the liveliness token of the host with this credential has appeared or disappeared.
-    fn on_liveliness(&mut self, pass: HostCredential, is_alive: bool) {
-        let host = pass.host;
-        if !self.admission.is_valid(pass) {
+    fn on_liveliness(&mut self, credential: HostCredential, is_alive: bool) {
+        let host = credential.host;
+        if !self.admission.is_valid(credential) {
             return;
         }
         self.admission.set_alive(host, is_alive);

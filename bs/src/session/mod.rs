@@ -132,20 +132,26 @@ pub struct Session {
     /// Whether the observer wants the states at the end of the open TTI.
     wants_states: bool,
     /// Number of decisions of an external policy so far.
-    decisions: u64,
+    decision_count: u64,
     /// Whether the observer has ended the run.
     is_stopped: bool,
 }
 
 impl Session {
-    /// Creates the run `prepared`, before TTI 0, with windows of `window` TTIs; [`u64::MAX`] for none.
-    pub fn new(prepared: &PreparedRun, window: u64) -> Self {
-        Self::with_cycle(prepared, Cycle::new(prepared), window)
+    /// Creates the run `prepared`, before TTI 0, with windows of `window_ttis` TTIs; [`u64::MAX`] for none.
+    ///
+    /// # Panics
+    /// If `window_ttis` is 0, or the policy needs pilot runs and `prepared` has no choice.
+    pub fn new(prepared: &PreparedRun, window_ttis: u64) -> Self {
+        Self::with_cycle(prepared, Cycle::new(prepared), window_ttis)
     }
 
-    /// Creates a run with a given base station and world.
-    pub fn with_cycle(prepared: &PreparedRun, cycle: Cycle, window: u64) -> Self {
-        let boundaries = Boundaries::new(&prepared.scenario, window);
+    /// Creates a run like [`Self::new`], with a given base station and world, which must be before TTI 0.
+    ///
+    /// # Panics
+    /// If `window_ttis` is 0.
+    pub fn with_cycle(prepared: &PreparedRun, cycle: Cycle, window_ttis: u64) -> Self {
+        let boundaries = Boundaries::new(&prepared.scenario, window_ttis);
         Self {
             cycle,
             next_boundary: boundaries.next_boundary(Tti::ZERO),
@@ -160,7 +166,7 @@ impl Session {
             late_totals: None,
             views: Vec::new(),
             wants_states: false,
-            decisions: 0,
+            decision_count: 0,
             is_stopped: false,
         }
     }
@@ -180,7 +186,7 @@ impl Session {
         self.cycle.is_open()
     }
 
-    /// The last grant.
+    /// The last grant; a default before the first.
     pub const fn grant_message(&self) -> &GrantMessage {
         &self.grant_message
     }
@@ -202,7 +208,7 @@ impl Session {
 
     /// Number of decisions of an external policy that have taken effect, those from the queue included.
     pub const fn decision_count(&self) -> u64 {
-        self.decisions
+        self.decision_count
     }
 
     /// The decision that the run waits for after [`Action::RequestDecision`].
@@ -276,7 +282,8 @@ impl Session {
     /// Takes in the result of the last action.
     ///
     /// # Panics
-    /// If the phase has no such result.
+    /// If the phase has no such result, or the answers to a grant come before the sums that
+    /// [`ActionResult::TotalsFollow`] announced.
     // Inlined, so that a shell that passes a known result pays for that result alone: in memory a grant costs 1 % more
     // instructions without.
     #[inline]
@@ -284,7 +291,7 @@ impl Session {
         match result {
             ActionResult::Totals(energy) => self.take_totals(energy, observer),
             ActionResult::TotalsFollow => self.expect_late_totals(),
-            ActionResult::Decided(answer) => self.take_decision(answer, observer),
+            ActionResult::Decided(decision) => self.take_decision(decision, observer),
             ActionResult::GrantAnswers(answers) => self.take_answers(answers, observer),
             ActionResult::Woken(outcome) => self.take_outcome(outcome, observer),
         }
@@ -320,10 +327,10 @@ impl Session {
         self.next_boundary = self.boundaries.next_boundary(self.last_boundary);
     }
 
-    fn take_decision(&mut self, answer: Decision, observer: &mut impl Observer) {
-        self.decisions += 1;
-        match (answer, self.phase) {
-            (Decision::Plan(decision), Phase::Ready) => self.cycle.set_plan(decision),
+    fn take_decision(&mut self, decision: Decision, observer: &mut impl Observer) {
+        self.decision_count += 1;
+        match (decision, self.phase) {
+            (Decision::Plan(plan_decision), Phase::Ready) => self.cycle.set_plan(plan_decision),
             (Decision::Wake(devices), Phase::Asking(tti)) => {
                 let step = self.cycle.set_wake_ups(tti, &devices, observer);
                 self.apply_step(step, observer);
@@ -365,7 +372,7 @@ impl Session {
     /// answer was due. `store_removal` stores each removal before it takes effect.
     ///
     /// # Errors
-    /// If `store_removal` fails.
+    /// If `store_removal` fails; the removals before it have taken effect.
     ///
     /// # Panics
     /// If no grant and no wake-up is out.
@@ -409,7 +416,7 @@ impl Session {
     }
 
     /// Closes the run before the next TTI, where its last window ends too. `ledgers` has the ledgers of all devices,
-    /// in the order of ids.
+    /// in the order of ids, removed ones included.
     ///
     /// # Panics
     /// If a TTI is open.
@@ -431,9 +438,9 @@ impl Session {
     }
 
     fn update_batteries(&mut self, observer: &mut impl Observer) {
-        if self.cycle.needs_batteries(self.next_tti()) {
+        if self.cycle.needs_true_batteries_for(self.next_tti()) {
             let batteries = self.views.iter().map(|view| view.battery);
-            self.cycle.set_batteries(batteries, observer);
+            self.cycle.set_true_batteries(batteries, observer);
         }
     }
 
@@ -444,8 +451,8 @@ impl Session {
         // A removal happens in the last TTI of a grant, the only one in which devices act. Changes happen at the start
         // of its first TTI, so that the clock can foresee the devices that react.
         let limit = limit
-            .min(self.input_queue.next_removal().saturating_add(1))
-            .min(self.input_queue.next_operator_action())
+            .min(self.input_queue.next_removal_tti().saturating_add(1))
+            .min(self.input_queue.next_operator_action_tti())
             .max(first + 1);
         // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
         self.resume_point = self.position();
@@ -457,10 +464,10 @@ impl Session {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
-            until: grant.until,
+            stimulus_last: grant.event_last_tti,
             wants_totals: self.late_totals.is_some(),
             // A policy that decides for the next TTI by true batteries reads them from these views.
-            wants_views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
+            wants_views: self.wants_states || self.cycle.needs_true_batteries_for(grant.last + 1),
             plan_from: self.plan_from.unwrap_or_default(),
             plan_count: updates.len() as u32,
             change_count: changes.len() as u32,

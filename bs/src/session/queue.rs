@@ -10,7 +10,8 @@ use reveille_common::message::{Change, DeviceRemoval, OperatorAction};
 
 use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
 
-/// External inputs that are still to come, each kind in the order in which it takes effect.
+/// External inputs that are still to come, each kind in the order in which it takes effect. A removal or decision whose
+/// TTI passes without use stays and blocks the later ones; shells compare the counts after the run.
 #[derive(Clone, Debug, Default)]
 pub struct InputQueue {
     removals: VecDeque<DeviceRemoval>,
@@ -30,7 +31,7 @@ impl InputQueue {
         self.decisions.push_back(decision);
     }
 
-    /// Adds an action.
+    /// Adds an action, after the others of its TTI. If that TTI has begun, the action takes effect in the next grant.
     pub fn add_action(&mut self, action: OperatorAction) {
         let index = self.actions.partition_point(|other| other.tti <= action.tti);
         self.actions.insert(index, action);
@@ -47,17 +48,17 @@ impl InputQueue {
     }
 
     /// The TTI of the next decision.
-    pub fn next_decision(&self) -> Option<Tti> {
+    pub fn next_decision_tti(&self) -> Option<Tti> {
         self.decisions.front().map(|next| next.tti)
     }
 
     /// The TTI of the next removal, [`Tti::NEVER`] after the last.
-    pub(super) fn next_removal(&self) -> Tti {
+    pub(super) fn next_removal_tti(&self) -> Tti {
         self.removals.front().map_or(Tti::NEVER, |removal| removal.tti)
     }
 
     /// The TTI of the next action, [`Tti::NEVER`] after the last.
-    pub(super) fn next_operator_action(&self) -> Tti {
+    pub(super) fn next_operator_action_tti(&self) -> Tti {
         self.actions.front().map_or(Tti::NEVER, |action| action.tti)
     }
 
@@ -77,7 +78,7 @@ impl InputQueue {
     pub(super) fn take_plan(&mut self, k: Tti) -> Option<PlanDecision> {
         let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.decision, Decision::Plan(_));
         match self.decisions.pop_front_if(is_due)?.decision {
-            Decision::Plan(decision) => Some(decision),
+            Decision::Plan(plan_decision) => Some(plan_decision),
             Decision::Wake(_) => None,
         }
     }

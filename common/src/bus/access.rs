@@ -7,13 +7,15 @@
 //! of hosts; the token in its credential identifies it to the BS. Only the BS may send clock messages, plans and
 //! wake-ups, answer its own kinds of queries, or feed the tap. At the policy port the BS asks and any client may
 //! answer. No rule checks the run's key or a host's token: the handlers in `bs/src/server/` do. See [`crate::keys`] for
-//! why a wildcard does not help an outsider.
+//! why a wildcard does not help an outsider. `tests/untrusted_clients/` and `tests/program/hostile_peer.rs` try the
+//! rules on a running base station; the test below only compares the lists with [`MessageKind`].
 
 use crate::keys::KeyExprs;
 use crate::message::MessageKind;
 
-/// Limits on the harm that one peer can do: the message size in bytes, the wait in microseconds for a peer that stops
-/// reading before the BS closes its link, and the number of sessions that open simultaneously.
+/// Limits on the harm that one peer can do: the size in bytes of a message to the BS, the wait in microseconds for a
+/// peer that stops reading before the BS closes its link, and the number of sessions that open simultaneously. A larger
+/// message does not arrive, so the size also bounds the number of devices whose ledgers one host can send.
 pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
     ("transport/link/rx/max_message_size", "16777216"),
     (
@@ -42,42 +44,43 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
     let bs_to_hosts: Vec<String> = BS_TO_HOSTS.iter().map(|&kind| keys.to_all_hosts(kind)).collect();
     let wake_key = format!("{}/*/*", keys.base_key(MessageKind::Wake));
     let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
-    let queries: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
-    let received = [&bs_to_hosts[..], &[wake_key, keys.tap()]].concat();
+    let query_keys: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
+    let sent_to_peers = [&bs_to_hosts[..], &[wake_key, keys.tap()]].concat();
     let (host_liveliness, bs_liveliness) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
     let policy_port = vec![keys.policy_port()];
     let visible_liveliness = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
     // Ingress is the flow from a peer to the BS, egress the flow from the BS to a peer. The ids occur only here.
     let rules = [
-        rule("send", "ingress", &["put"], &hosts_to_bs),
-        rule("hear", "ingress", &["declare_subscriber"], &received),
-        rule("live", "ingress", &["liveliness_token"], &host_liveliness),
+        rule("host_messages_in", "ingress", &["put"], &hosts_to_bs),
+        rule("subscriptions_in", "ingress", &["declare_subscriber"], &sent_to_peers),
+        rule("host_tokens_in", "ingress", &["liveliness_token"], &host_liveliness),
         rule(
-            "look",
+            "token_queries_in",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
             &visible_liveliness,
         ),
-        rule("ask", "ingress", &["query"], &queries),
-        rule("decide", "ingress", &["declare_queryable", "reply"], &policy_port),
-        rule("decision", "egress", &["query"], &policy_port),
-        rule("told", "egress", &["put"], &received),
-        rule("wanted", "egress", &["declare_subscriber"], &hosts_to_bs),
-        rule("answered", "egress", &["declare_queryable", "reply"], &queries),
-        rule("alive", "egress", &["liveliness_token"], &bs_liveliness),
+        rule("queries_in", "ingress", &["query"], &query_keys),
+        rule("policy_in", "ingress", &["declare_queryable", "reply"], &policy_port),
+        rule("policy_out", "egress", &["query"], &policy_port),
+        rule("bs_messages_out", "egress", &["put"], &sent_to_peers),
+        rule("subscriptions_out", "egress", &["declare_subscriber"], &hosts_to_bs),
+        rule("replies_out", "egress", &["declare_queryable", "reply"], &query_keys),
+        rule("bs_token_out", "egress", &["liveliness_token"], &bs_liveliness),
     ];
     let ids: Vec<String> = rules.iter().map(|(id, _)| format!("{id:?}")).collect();
-    let rules: Vec<String> = rules.into_iter().map(|(_, rule)| rule).collect();
+    let rule_texts: Vec<String> = rules.into_iter().map(|(_, text)| text).collect();
     // zenoh's subjects are static, so no single host can be named. One subject covers all; secrets in the keys tell
     // hosts apart.
     format!(
         "{{enabled: true, default_permission: \"deny\", rules: [{}], subjects: [{{id: \"anyone\"}}], \
          policies: [{{rules: [{}], subjects: [\"anyone\"]}}]}}",
-        rules.join(", "),
+        rule_texts.join(", "),
         ids.join(", ")
     )
 }
 
+/// Returns `id` and zenoh's configuration of a rule that allows `messages` on `keys` in the direction `flow`.
 fn rule(id: &'static str, flow: &str, messages: &[&str], keys: &[String]) -> (&'static str, String) {
     let text = format!(
         "{{id: {id:?}, permission: \"allow\", flows: [{flow:?}], messages: {messages:?}, key_exprs: {keys:?}}}"

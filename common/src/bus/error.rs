@@ -8,10 +8,10 @@ use crate::keys::RunName;
 /// An error on the bus.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// A text that is not an endpoint.
+    /// A text that is not an endpoint, and the reason.
     #[error("endpoint {0:?}: {1}; it must look like tcp/HOST:PORT, for example tcp/127.0.0.1:7447")]
     Endpoint(String, &'static str),
-    /// The BS cannot listen.
+    /// The BS cannot listen on this endpoint, for this reason.
     #[error(
         "cannot listen on {0}: {1}; if the port is in use, choose another with --listen, or tcp/127.0.0.1:0 for any \
          free one"
@@ -25,7 +25,7 @@ pub enum BusError {
         /// Time for which the client tried to connect.
         patience: Duration,
     },
-    /// This machine cannot connect, whichever process listens.
+    /// This machine cannot connect to this endpoint, whichever process listens, for this reason.
     #[error("cannot connect to {0}: {1}")]
     ConnectFailed(String, String),
     /// A base station answers, but does not serve this run.
@@ -35,13 +35,13 @@ pub enum BusError {
         endpoint: String,
         /// The requested run.
         run: RunName,
-        /// The runs that the endpoint serves.
+        /// A phrase that names the runs of the endpoint, from [`Bus::no_run_error`](super::Bus::no_run_error).
         hint: String,
     },
     /// A reply that cannot be decoded.
     #[error("the reply cannot be read: {0}")]
     InvalidReply(#[from] CodecError),
-    /// The other side refused the query or could not decode it.
+    /// The other side refused the query or could not decode it, or the base station refused this policy process.
     #[error("the base station refused: {0}")]
     Refused(String),
     /// Any other error that zenoh reports.

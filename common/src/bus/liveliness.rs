@@ -25,7 +25,8 @@ impl Bus {
         Ok(DeclarationGuard::new(token))
     }
 
-    /// Calls `handle` with the key of each token that matches `key`; the flag is true if the token appeared.
+    /// Calls `handle` with the key of each token that matches `key`, at first of those that exist; the flag is true if
+    /// the token appeared. The callback must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -50,7 +51,7 @@ impl Bus {
         ))
     }
 
-    /// Returns the names of the runs whose BS this session can reach.
+    /// Returns the sorted names of the runs whose BS this session can reach, found within `patience`.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -65,7 +66,7 @@ impl Bus {
         Ok(runs)
     }
 
-    /// Returns the number of this run's live hosts that this session can reach.
+    /// Returns the number of this run's live hosts that this session can reach, within zenoh's default timeout.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -74,7 +75,8 @@ impl Bus {
         Ok(tokens.iter().flatten().count() as u32)
     }
 
-    /// Queries the tokens that match `key`; an error reply gives `None`. Boxed, so zenoh's code is compiled only here.
+    /// Queries the tokens that match `key`; an error reply becomes `None`. Without `patience`, zenoh's default timeout
+    /// applies. Boxed, so zenoh's code is compiled only here.
     fn query_tokens(&self, key: String, patience: Option<Duration>) -> TokensFuture<'_> {
         Box::pin(async move {
             let query = self.session.liveliness().get(key);

@@ -48,13 +48,13 @@ pub use tap::{FrameSink, Tap};
 /// Interval at which the queue of frames for observers is checked.
 const FLUSH_CHECK_INTERVAL: Duration = Duration::from_millis(2);
 
-/// A session on one run.
+/// A session on one run. Clones share the session.
 #[derive(Clone)]
 pub struct Bus {
     session: zenoh::Session,
     key_exprs: Arc<KeyExprs>,
     endpoint: Arc<str>,
-    /// The run's key, sent with every query; `None` sends none.
+    /// The run's key, sent with queries that name no other secret; `None` sends none.
     run_key: Option<Secret>,
     malformed_payloads: Arc<AtomicU64>,
     tap: Option<Arc<Tap>>,
@@ -85,7 +85,8 @@ impl Bus {
         &self.key_exprs
     }
 
-    /// Returns this session with the secret of the run's members, which gives access to the keys of all hosts.
+    /// Returns this session with the secret of the run's members, which opens the keys of all hosts. The BS sends it to
+    /// each host that it admits.
     #[must_use]
     pub fn with_secret(&self, secret: Secret) -> Self {
         Self {
@@ -94,7 +95,7 @@ impl Bus {
         }
     }
 
-    /// Returns this session with the run's key, which it then sends with every query.
+    /// Returns this session with the run's key, which [`Self::query`] then sends. Other queries name their secret.
     #[must_use]
     pub fn with_key(&self, run_key: Option<Secret>) -> Self {
         Self {
@@ -205,7 +206,8 @@ impl Bus {
         Ok(TopicPublisher::new(delivery, Some(credential.host.0), self.tap.clone()))
     }
 
-    /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. It must not block.
+    /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. The callback must
+    /// not block.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -234,8 +236,8 @@ impl Bus {
         })
     }
 
-    /// Calls `handle` with each message of type `P` from any host, and with the credential in its key. It must not
-    /// block.
+    /// Calls `handle` with each message of type `P` from any host, and with the credential in its key, which the caller
+    /// must check. The callback must not block.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -290,7 +292,7 @@ impl Bus {
         ))
     }
 
-    /// Closes the session and undoes all its declarations.
+    /// Closes the session, also for the clones of this value, and undoes all its declarations.
     pub async fn close(self) {
         // Boxed, so that zenoh's generic code is compiled only once, in this crate.
         let closing: Pin<Box<dyn Future<Output = zenoh::Result<()>> + Send>> =

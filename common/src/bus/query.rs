@@ -15,8 +15,10 @@ use crate::secret::Secret;
 
 /// Timeout of one attempt of a repeated query.
 const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(2);
+/// Pause between two attempts of a repeated query.
 const ATTEMPT_PAUSE: Duration = Duration::from_millis(200);
 
+/// Start of the refusal of a request that cannot be decoded.
 const MALFORMED: &str = "the request cannot be decoded";
 
 /// Encodes the reply to an encoded request and the secret sent with it; `Err` holds the reason of a refusal.
@@ -25,8 +27,8 @@ type QueryHandler = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + S
 type ReplyFuture<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
 
 impl Bus {
-    /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call it, so it must not
-    /// block.
+    /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call `answer`, so it must
+    /// not block. `access` must allow the kind, or no query arrives.
     ///
     /// # Errors
     /// If zenoh refuses.

@@ -11,7 +11,7 @@ use crate::keys::{KeyExprs, RunName};
 use crate::secret::Secret;
 
 /// Time without traffic after which the peer of a link counts as lost, with at most [`UNSCALED_PROCESSES`] processes on
-/// a machine.
+/// a machine. The BS then loses the liveliness tokens of the peer.
 const LEASE: Duration = Duration::from_secs(2);
 /// The number of processes up to which timeouts are not scaled.
 const UNSCALED_PROCESSES: u32 = 100;
@@ -30,6 +30,7 @@ const MAX_PORT_ATTEMPTS: u32 = 10;
 /// the start.
 const CHECK_INTERVAL: Duration = Duration::from_millis(500);
 
+/// zenoh settings of every session. The last one bounds the number of processes of a run.
 const COMMON_SETTINGS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
@@ -49,14 +50,14 @@ impl Bus {
         Self::listen_for_hosts(1, endpoint, run).await
     }
 
-    /// Opens the BS's session like [`Self::listen`], on a machine shared with `hosts` host processes.
+    /// Opens the BS's session like [`Self::listen`], on a machine shared with `processes` host processes.
     ///
     /// # Errors
     /// As [`Self::listen`].
-    pub async fn listen_for_hosts(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
+    pub async fn listen_for_hosts(processes: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
         let keys = KeyExprs::for_members(run, draw_secret()?);
         let rules = access::access_config(&keys);
-        Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
+        Self::listen_as(processes, endpoint, keys, &[("access_control", &rules)]).await
     }
 
     /// Opens a session like [`Self::listen`], without access control, for the bare barrier of the benchmark.
@@ -67,8 +68,14 @@ impl Bus {
         Self::listen_as(1, endpoint, KeyExprs::new(run), &[]).await
     }
 
-    async fn listen_as(hosts: u32, endpoint: &str, keys: KeyExprs, extra: &[(&str, &str)]) -> Result<Self, BusError> {
-        let mut config = session_config("router", hosts)?;
+    /// Opens a router with the settings `extra` in addition to the common ones, and starts its tap.
+    async fn listen_as(
+        processes: u32,
+        endpoint: &str,
+        keys: KeyExprs,
+        extra: &[(&str, &str)],
+    ) -> Result<Self, BusError> {
+        let mut config = session_config("router", processes)?;
         set_option(&mut config, "listen/exit_on_failure", "true")?;
         for (key, value) in access::PEER_LIMITS.iter().chain(extra) {
             set_option(&mut config, key, value)?;
@@ -87,18 +94,18 @@ impl Bus {
         Self::connect_with_hosts(1, endpoint, run, patience).await
     }
 
-    /// Connects like [`Self::connect`], for one of `hosts` processes that share a machine.
+    /// Connects like [`Self::connect`], for one of `processes` processes that share a machine.
     ///
     /// # Errors
     /// As [`Self::connect`].
     pub async fn connect_with_hosts(
-        hosts: u32,
+        processes: u32,
         endpoint: &str,
         run: RunName,
         patience: Duration,
     ) -> Result<Self, BusError> {
         let (hostname, port) = parse_endpoint(endpoint)?;
-        let mut config = session_config("client", hosts)?;
+        let mut config = session_config("client", processes)?;
         set_option(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
         set_option(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
         set_option(&mut config, "connect/exit_on_failure", "true")?;
@@ -149,10 +156,10 @@ fn no_randomness(error: getrandom::Error) -> BusError {
     BusError::Zenoh(format!("the operating system provides no randomness: {error}"))
 }
 
-/// Returns the configuration of sessions of `mode`, on a machine shared by `hosts` processes.
-fn session_config(mode: &str, hosts: u32) -> Result<zenoh::Config, BusError> {
+/// Returns the configuration of sessions of `mode`, on a machine shared by `processes` processes.
+fn session_config(mode: &str, processes: u32) -> Result<zenoh::Config, BusError> {
     let mut config = zenoh::Config::default();
-    let lease = scaled_timeout(LEASE, hosts).as_millis().to_string();
+    let lease = scaled_timeout(LEASE, processes).as_millis().to_string();
     let role_settings = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
     for (key, value) in COMMON_SETTINGS.iter().chain(&role_settings) {
         set_option(&mut config, key, value)?;

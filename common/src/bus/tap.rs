@@ -2,7 +2,10 @@
 //!
 //! The BS sees every message of a run. While observers are connected to the bus, the tap passes copies to its own
 //! thread through a bounded queue and never waits for the queue. It drops frames that do not fit; gaps in the frame
-//! numbers show their number. A sink in the BS's own process receives every copy and may make the run wait.
+//! numbers show their number. A sink in the BS's own process receives every copy and may make the run wait. Only
+//! [`Bus`](super::Bus) and its topics call the tap.
+//!
+//! Two numbers differ: a frame's number in the queue, and the addressee number [`Frame::number`] of a device or host.
 //!
 //! The tap copies the actual bus traffic of the emulation plane, retransmitted messages included. The run itself
 //! publishes frames of the air plane and the ground truth ([`Bus::publish_frame`](super::Bus::publish_frame)). The
@@ -29,7 +32,8 @@ const MAX_BATCH_FRAMES: usize = 512;
 /// Pause between two batches: with [`MAX_BATCH_FRAMES`] it limits the cost of observation to 100 000 frames a second.
 const BATCH_PAUSE: Duration = Duration::from_millis(5);
 
-/// A callback in the BS's own process that receives every copy.
+/// A callback in the BS's own process that receives every copy. It is called under the lock of the frame numbers, so it
+/// must not use the bus.
 pub type FrameSink = dyn Fn(&Frame) + Send + Sync;
 
 /// The BS's side of observation.
@@ -37,9 +41,10 @@ pub struct Tap {
     /// Whether an observer is connected to the bus.
     has_bus_observers: AtomicBool,
     sink: OnceLock<Box<FrameSink>>,
+    /// The TTI with which copies are labelled.
     tti: AtomicU64,
-    /// The number of the next frame. Locked while that frame is queued: several threads copy messages, and the numbers
-    /// must rise along the queue.
+    /// The number of the next frame; only frames for observers on the bus have one. Locked while that frame is queued:
+    /// several threads copy messages, and the numbers must rise along the queue.
     next_frame_number: Mutex<u64>,
     queue: SyncSender<(u64, Frame)>,
     dropped_frames: AtomicU64,
@@ -48,7 +53,7 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// Starts the thread, which publishes on `key` of `session`.
+    /// Starts the thread, which publishes on the key expression `key` of `session`.
     pub(super) fn start(session: &zenoh::Session, key: String) -> Result<Arc<Self>, BusError> {
         let publisher = session
             .declare_publisher(key)
@@ -98,7 +103,7 @@ impl Tap {
         self.dropped_frames.load(Ordering::Relaxed)
     }
 
-    /// Whether all queued frames are sent.
+    /// Whether all queued frames are sent. It can stay false after a failed publication, which ends the thread.
     pub(super) fn is_empty(&self) -> bool {
         self.queued_frames.load(Ordering::Relaxed) == 0
     }
@@ -109,19 +114,18 @@ impl Tap {
     }
 
     /// Copies a message of the emulation plane that the bus carries, if it is observed.
-    pub(super) fn copy_emulation(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
+    pub(super) fn copy_emulation(&self, kind: MessageKind, addressee_number: Option<u32>, payload: &[u8]) {
         if kind.plane() == Plane::Emu && self.is_observed() {
-            self.forward_bytes(kind, number, payload);
+            self.forward_bytes(kind, addressee_number, payload);
         }
     }
 
-    /// Forwards a copy of a message that the bus carries in the current TTI. `number` is [`Frame::number`], not the
-    /// number of the frame in the queue.
-    pub(super) fn forward_bytes(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
+    /// Forwards a copy of a message that the bus carries in the current TTI, from its `payload`.
+    pub(super) fn forward_bytes(&self, kind: MessageKind, addressee_number: Option<u32>, payload: &[u8]) {
         self.forward(Frame {
             tti: Tti(self.tti.load(Ordering::Relaxed)),
             kind,
-            number,
+            number: addressee_number,
             payload: payload.to_vec(),
         });
     }
@@ -150,23 +154,25 @@ impl Tap {
     }
 }
 
-/// Publishes batches of consecutively numbered frames until the tap is dropped.
+/// Publishes batches of consecutively numbered frames until the tap is dropped or a publication fails.
 fn publish_batches(publisher: &Publisher<'_>, frames: &Receiver<(u64, Frame)>, queued_frames: &AtomicU64) {
     let mut first_of_next_batch: Option<(u64, Frame)> = None;
     loop {
-        let Some((first, frame)) = first_of_next_batch.take().or_else(|| frames.recv().ok()) else {
+        let Some((first_number, frame)) = first_of_next_batch.take().or_else(|| frames.recv().ok()) else {
             return;
         };
         let mut batch = FrameBatch {
-            first,
+            first: first_number,
             frames: vec![frame],
         };
         while batch.frames.len() < MAX_BATCH_FRAMES {
             match frames.try_recv() {
                 // A batch carries only its first number, so it ends where frames are missing.
-                Ok((number, frame)) if number == first + batch.frames.len() as u64 => batch.frames.push(frame),
-                Ok(later) => {
-                    first_of_next_batch = Some(later);
+                Ok((frame_number, frame)) if frame_number == first_number + batch.frames.len() as u64 => {
+                    batch.frames.push(frame);
+                }
+                Ok(frame_after_gap) => {
+                    first_of_next_batch = Some(frame_after_gap);
                     break;
                 }
                 Err(_) => break,
@@ -203,7 +209,7 @@ mod tests {
             }
         });
         drop(tap);
-        let numbers: Vec<u64> = frames.iter().map(|(number, _)| number).collect();
-        assert_eq!(numbers, (0..8_000).collect::<Vec<u64>>());
+        let frame_numbers: Vec<u64> = frames.iter().map(|(frame_number, _)| frame_number).collect();
+        assert_eq!(frame_numbers, (0..8_000).collect::<Vec<u64>>());
     }
 }

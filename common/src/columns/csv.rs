@@ -1,4 +1,5 @@
-//! Columns of CSV files; errors name the line. Only `columns/mod.rs` uses this module.
+//! Columns of CSV files; errors name the line. Only `columns/mod.rs` uses this module. Header and cells lose blanks at
+//! both ends.
 
 use std::ops::Range;
 
@@ -9,7 +10,7 @@ use crate::declare::truncate;
 
 /// Reads the columns `wanted` as finite numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
-    read(bytes, wanted, needed_rows, |text, name, line| {
+    read_columns(bytes, wanted, needed_rows, |text, name, line| {
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(value),
             Ok(_) | Err(_) => Err(format!(
@@ -22,32 +23,32 @@ pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>
 
 /// Reads the column `wanted` as text; `None` without such a column.
 pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
-    let mut reader = reader(bytes);
+    let mut reader = open_csv(bytes);
     let has_column = reader
         .headers()
         .is_ok_and(|header| header.iter().any(|name| name == wanted));
     if !has_column {
         return Ok(None);
     }
-    read(bytes, &[wanted.to_owned()], 0..usize::MAX, |text, _, _| {
+    read_columns(bytes, &[wanted.to_owned()], 0..usize::MAX, |text, _, _| {
         Ok(text.to_owned())
     })
     .map(Some)
 }
 
-fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
+fn open_csv(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
-/// Reads the columns `wanted`, of a long file only `needed_rows`; `parse_cell` converts a text, given its column and
-/// its line.
-fn read<T>(
+/// Reads the columns `wanted`, of a file with more than `MAX_VALUES` values only `needed_rows`; `parse_cell` converts a
+/// text, given the name of its column and its line.
+fn read_columns<T>(
     bytes: &[u8],
     wanted: &[String],
     needed_rows: Range<usize>,
     parse_cell: impl Fn(&str, &str, u64) -> Result<T, String>,
 ) -> Result<ColumnData<T>, String> {
-    let mut reader = reader(bytes);
+    let mut reader = open_csv(bytes);
     let header = reader
         .headers()
         .map_err(|error| format!("the header is broken: {error}"))?
@@ -58,10 +59,10 @@ fn read<T>(
         .collect::<Result<Vec<usize>, String>>()?;
     let mut collector = RowCollector::new(wanted.len(), needed_rows);
     let mut record = StringRecord::new();
-    let mut lines = LineCounter::new(bytes);
+    let mut line_counter = LineCounter::new(bytes);
     loop {
         // Read before the record, since an error has to name the line too.
-        let line = lines.line_after_blanks(reader.position().byte() as usize);
+        let line = line_counter.line_after_blanks(reader.position().byte() as usize);
         match reader.read_record(&mut record) {
             Ok(true) => {}
             Ok(false) => return Ok(collector.finish()),

@@ -1,4 +1,5 @@
-//! Data read from a file: values by column and row, with the position of each row for errors.
+//! Data read from a file: values by column and row, with the position of each row for errors. The readers of CSV and
+//! Parquet files collect it; layouts (`geometry/file.rs`) and traces (`harvest/trace/`) use it.
 
 use std::ops::Range;
 
@@ -9,16 +10,17 @@ use crate::declare::{quoted_list, truncate};
 pub struct ColumnData<T> {
     /// The values, by column and then by row.
     pub values: Vec<Vec<T>>,
-    /// The row of the file, from 0, with the first values.
+    /// The row of the file, from 0, with the first values as read. [`Self::rotate_rows`] does not change it.
     pub first_row: usize,
-    /// The number of rows of the file.
+    /// The number of rows of the file, kept or not.
     pub rows_in_file: usize,
     /// The line of each row in a text file; empty for other files.
     lines: Vec<u64>,
 }
 
 impl<T> ColumnData<T> {
-    /// The position of row `row`, from 0: "line 5", or "row 4" for a file without lines.
+    /// The position in the file of row `row` of the values, from 0: "line 5", or "row 4" for a file without lines. The
+    /// row number of a file without lines is valid only before [`Self::rotate_rows`].
     pub fn describe_row(&self, row: usize) -> String {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
@@ -36,22 +38,22 @@ impl<T> ColumnData<T> {
         self.len() == 0
     }
 
-    /// Moves the first `rows` rows behind the last one.
+    /// Moves the first `count` rows behind the last one.
     ///
     /// # Panics
     /// If there are fewer rows.
-    pub fn rotate_rows(&mut self, rows: usize) {
+    pub fn rotate_rows(&mut self, count: usize) {
         for column in &mut self.values {
-            column.rotate_left(rows);
+            column.rotate_left(count);
         }
         if !self.lines.is_empty() {
-            self.lines.rotate_left(rows);
+            self.lines.rotate_left(count);
         }
     }
 
-    /// Removes the first `rows` rows; all if there are fewer.
-    pub fn remove_rows_before(&mut self, rows: usize) {
-        self.keep_rows(rows..usize::MAX);
+    /// Removes the first `count` rows; all if there are fewer.
+    pub fn remove_first_rows(&mut self, count: usize) {
+        self.keep_rows(count..usize::MAX);
     }
 
     fn keep_rows(&mut self, rows: Range<usize>) {
@@ -92,8 +94,8 @@ impl<T> RowCollector<T> {
         }
     }
 
-    /// Begins the next row, at `line` of a text file. Returns the columns, to each of which the caller must add one
-    /// value; `None` if the row is not needed.
+    /// Begins the next row, at `line` of a text file; a file without lines passes `None` for every row. Returns the
+    /// columns, to each of which the caller must add one value; `None` if the row is not needed.
     ///
     /// # Errors
     /// If the needed rows have more values than memory should hold.
@@ -118,13 +120,14 @@ impl<T> RowCollector<T> {
     }
 }
 
-/// Maximum number of values of one file that are kept, which bounds the memory.
+/// Maximum number of values of one file that are kept, which bounds the memory. A test of `harvest/trace/` expects the
+/// number in the error.
 pub(super) const MAX_VALUES: usize = 10_000_000;
 
 /// The index of the only column called `name`.
 pub(super) fn column_index<'h>(name: &str, header: impl Iterator<Item = &'h str> + Clone) -> Result<usize, String> {
-    let mut found = header.clone().enumerate().filter(|(_, known)| *known == name);
-    match (found.next(), found.next()) {
+    let mut matches = header.clone().enumerate().filter(|(_, known)| *known == name);
+    match (matches.next(), matches.next()) {
         (Some((index, _)), None) => Ok(index),
         (Some(_), Some(_)) => Err(format!("has more than one column `{}`", truncate(name))),
         (None, _) => Err(format!(

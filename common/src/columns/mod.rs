@@ -11,11 +11,12 @@ use std::path::Path;
 
 pub use data::ColumnData;
 
-/// Maximum size of a data file, in bytes.
+/// Maximum size of a data file, in bytes. Callers limit their reading to it; this module does not check it.
 pub(crate) const MAX_FILE_BYTES: u64 = 256 << 20;
 
 /// Reads the columns `wanted` of the file `bytes` as numbers; a file without rows is an error. The extension of `path`
-/// selects the format. Of a file with more than `MAX_VALUES` values, only `needed_rows` are kept, counted from 0.
+/// selects the format. Of a file with more than `MAX_VALUES` values in these columns, only `needed_rows` are kept,
+/// counted from 0.
 ///
 /// # Errors
 /// The problem with the file, without its name.
@@ -36,7 +37,8 @@ pub fn read_numbers(
     Ok(columns)
 }
 
-/// Reads the column `wanted` of the file `bytes` as text; `None` without such a column.
+/// Reads the column `wanted` of the file `bytes` as text; `None` without such a column. Every row is kept, so that rows
+/// match [`read_numbers`] with all rows needed.
 ///
 /// # Errors
 /// The problem with the file, without its name.
@@ -57,14 +59,14 @@ fn is_parquet(path: &Path) -> bool {
 use parquet::{numbers as parquet_numbers, texts as parquet_texts};
 
 #[cfg(not(feature = "parquet"))]
-const WITHOUT_PARQUET: &str = "is a Parquet file; use a build with the cargo feature `parquet`, or a CSV file";
+const NO_PARQUET_SUPPORT: &str = "is a Parquet file; use a build with the cargo feature `parquet`, or a CSV file";
 
 #[cfg(not(feature = "parquet"))]
 fn parquet_numbers(_: &[u8], _: &[String], _: Range<usize>) -> Result<ColumnData<f64>, String> {
-    Err(WITHOUT_PARQUET.to_owned())
+    Err(NO_PARQUET_SUPPORT.to_owned())
 }
 
 #[cfg(not(feature = "parquet"))]
 fn parquet_texts(_: &[u8], _: &str) -> Result<Option<ColumnData<String>>, String> {
-    Err(WITHOUT_PARQUET.to_owned())
+    Err(NO_PARQUET_SUPPORT.to_owned())
 }

@@ -1,4 +1,5 @@
-//! Columns of Parquet files; errors name the row. Only `columns/mod.rs` uses this module.
+//! Columns of Parquet files; errors name the row, from 1. Only `columns/mod.rs` uses this module.
+//! `common/src/parquet.rs` (`crate::parquet`) is another module, with the writer.
 
 use std::ops::Range;
 
@@ -12,50 +13,51 @@ use super::data::{ColumnData, RowCollector, column_index};
 
 /// Reads the columns `wanted` of a flat Parquet file as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
-    guarded(bytes, |reader| {
-        read(reader, wanted, needed_rows, |field| {
-            number(field).ok_or("is not a number")
+    with_reader(bytes, |reader| {
+        read_columns(reader, wanted, needed_rows, |field| {
+            to_number(field).ok_or("is not a number")
         })
     })
 }
 
 /// Reads the column `wanted` as text; `None` without such a column.
 pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
-    let text = |field: &Field| {
+    let to_text = |field: &Field| {
         if let Field::Str(text) = field {
             Ok(text.trim().to_owned())
         } else {
             Err("is not a text")
         }
     };
-    guarded(bytes, |reader| {
+    with_reader(bytes, |reader| {
         let fields = reader.metadata().file_metadata().schema().get_fields();
         if !fields.iter().any(|field| field.name() == wanted) {
             return Ok(None);
         }
-        read(reader, &[wanted.to_owned()], 0..usize::MAX, text).map(Some)
+        read_columns(reader, &[wanted.to_owned()], 0..usize::MAX, to_text).map(Some)
     })
 }
 
 /// Opens the file `bytes` for `decode`, and returns an error if the decoder panics.
-fn guarded<T>(
+fn with_reader<T>(
     bytes: &[u8],
     decode: impl FnOnce(&SerializedFileReader<Bytes>) -> Result<T, String>,
 ) -> Result<T, String> {
-    let opened = || SerializedFileReader::new(Bytes::copy_from_slice(bytes)).map_err(|error| broken(&error));
+    let opened = || SerializedFileReader::new(Bytes::copy_from_slice(bytes)).map_err(|error| unreadable(&error));
     crate::parquet::catch_decoder_panic(|| decode(&opened()?))
         .unwrap_or_else(|| Err("is a corrupt Parquet file".to_owned()))
 }
 
-fn broken(error: &ParquetError) -> String {
+fn unreadable(error: &ParquetError) -> String {
     format!("is not a readable Parquet file: {error}")
 }
 
-fn read<T>(
+/// Reads the columns `wanted`, of a file with more than `MAX_VALUES` values only `needed_rows`.
+fn read_columns<T>(
     reader: &SerializedFileReader<Bytes>,
     wanted: &[String],
     needed_rows: Range<usize>,
-    cell: impl Fn(&Field) -> Result<T, &'static str>,
+    parse_cell: impl Fn(&Field) -> Result<T, &'static str>,
 ) -> Result<ColumnData<T>, String> {
     let metadata = reader.metadata().file_metadata();
     let schema = metadata.schema();
@@ -73,9 +75,11 @@ fn read<T>(
     let projection = Type::group_type_builder(schema.name())
         .with_fields(wanted_fields)
         .build()
-        .map_err(|error| broken(&error))?;
+        .map_err(|error| unreadable(&error))?;
     let mut collector = RowCollector::new(wanted.len(), needed_rows);
-    let records = reader.get_row_iter(Some(projection)).map_err(|error| broken(&error))?;
+    let records = reader
+        .get_row_iter(Some(projection))
+        .map_err(|error| unreadable(&error))?;
     for (row, record) in records.enumerate() {
         let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
         let Some(columns) = collector.begin_row(None)? else {
@@ -86,15 +90,15 @@ fn read<T>(
                 .get_column_iter()
                 .find(|(known, _)| *known == name)
                 .map(|(_, field)| field);
-            let value = field.map_or(Err("is missing"), &cell);
+            let value = field.map_or(Err("is missing"), &parse_cell);
             column.push(value.map_err(|reason| format!("row {}, column `{name}`: {reason}", row + 1))?);
         }
     }
     Ok(collector.finish())
 }
 
-/// The number in a field; `None` for other types.
-fn number(field: &Field) -> Option<f64> {
+/// The finite number in a cell; `None` for other types and missing values.
+fn to_number(field: &Field) -> Option<f64> {
     let value = match field {
         Field::Byte(value) => f64::from(*value),
         Field::Short(value) => f64::from(*value),

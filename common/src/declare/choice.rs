@@ -1,5 +1,6 @@
 //! Enums whose variants are words in a scenario file, and the macro that declares them. The scenario hash covers the
-//! words, and doc comments appear in `docs/scenario.md`, which a test compares.
+//! words, and doc comments appear in `docs/scenario.md`, which a test compares. `tests/fuzz/scenario.dict` lists every
+//! word, which another test compares (`bs/src/scenario/tests/pages.rs`).
 
 /// A word that a field may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,19 +13,21 @@ pub struct Alternative {
 
 /// A closed set of words. [`crate::choices!`] implements it.
 pub trait ChoiceType: Copy + Eq + Sized + 'static {
-    /// All variants in the order of declaration.
+    /// All variants in the order of declaration. Pages show words in this order.
     const ALL: &'static [Self];
     /// The words of the variants, in the same order.
     const ALTERNATIVES: &'static [Alternative];
 
     /// Returns the variant with the word `name`.
-    fn named(name: &str) -> Option<Self> {
+    fn from_name(name: &str) -> Option<Self> {
         let index = Self::ALTERNATIVES.iter().position(|known| known.name == name)?;
         Self::ALL.get(index).copied()
     }
 }
 
 /// Declares an enum whose variants are words of a scenario file. Help and reference show their doc comments.
+///
+/// The wire format encodes an enum that also derives `Serialize` by the position of its variants.
 ///
 /// The enum gets `name()`, `about()` and the traits [`ChoiceType`] and [`FieldRepr`](super::FieldRepr).
 #[macro_export]
@@ -63,7 +66,7 @@ macro_rules! choices {
         impl $crate::declare::FieldRepr for $type {
             fn from_value(value: $crate::declare::FieldValue<'_>) -> Option<Self> {
                 if let $crate::declare::FieldValue::Text(name) = value {
-                    <Self as $crate::declare::ChoiceType>::named(name)
+                    <Self as $crate::declare::ChoiceType>::from_name(name)
                 } else {
                     None
                 }

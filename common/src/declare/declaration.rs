@@ -1,5 +1,7 @@
 //! The declaration of a whole configuration: sections, list and presets, with the look-ups by path that reader, schema
 //! and pages share. The order of sections is the order in files and pages; hashes do not depend on it.
+//! `common/src/scenario/declaration.rs` builds the only one. `tests/fuzz/scenario.dict` lists its names and words,
+//! which a test of `bs/src/scenario/` compares.
 
 use super::choice::Alternative;
 use super::field::{Field, FieldType, Section};
@@ -7,7 +9,7 @@ use super::field::{Field, FieldType, Section};
 /// A list of tables (`[[class]]`), each of which may override the fields of some sections.
 #[derive(Clone, Copy, Debug)]
 pub struct TableArray {
-    /// The fields that only an item has; their section's path is the name of the list.
+    /// The fields that only an item has; their section's path is the name of the list. One of them is `name`.
     pub section: &'static Section,
     /// The headers that an item inherits from the top level, with everything below them, and may override.
     pub inherits: &'static [&'static str],
@@ -34,7 +36,7 @@ pub struct Declaration {
     pub sections: Vec<&'static Section>,
     /// The list of tables.
     pub list: TableArray,
-    /// The words of fields of the type [`Registered`](super::FieldType::Registered).
+    /// The words of fields of the type [`Registered`](super::FieldType::Registered): the policies.
     pub registered: Vec<Alternative>,
     /// The presets. The first one holds only the defaults.
     pub presets: &'static [Preset],
@@ -47,11 +49,11 @@ pub struct Preset {
     pub name: &'static str,
     /// A phrase that describes the preset.
     pub about: &'static str,
-    /// The values that differ from the defaults, as TOML.
+    /// The values that differ from the defaults, as TOML. The reference page shows them as written.
     pub text: &'static str,
 }
 
-/// A table of a file: the whole file, or one item of its list.
+/// A table of a file: the whole file, or one item of its list. Paths of headers are relative to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// The whole file.
@@ -80,9 +82,9 @@ impl Declaration {
             let below_path = match (path, section.path) {
                 ("", "") => None,
                 ("", other) => Some(other),
-                (path, other) => other.strip_prefix(path).and_then(|rest| rest.strip_prefix('.')),
+                (path, other) => other.strip_prefix(path).and_then(|suffix| suffix.strip_prefix('.')),
             };
-            let name = below_path.and_then(|rest| rest.split('.').next());
+            let name = below_path.and_then(|below| below.split('.').next());
             if let Some(name) = name.filter(|name| !names.contains(name)) {
                 names.push(name);
             }
@@ -101,7 +103,8 @@ impl Declaration {
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
-    /// Returns today's path of the field at the dotted path `path`, which may end in a former name of the field.
+    /// Returns today's path of the field at the dotted path `path` from the top level, which may end in a former name
+    /// of the field. The result for a path into the list is the path itself.
     pub fn current_path(&self, path: &str) -> String {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         let renamed = self.field_by_former_name(Scope::Top, section, name);
@@ -117,7 +120,8 @@ impl Declaration {
         fields.find(|field| field.former_name == Some(former))
     }
 
-    /// Returns the field with the dotted path `path` from the top level, and its section.
+    /// Returns the field with the dotted path `path` from the top level, and its section. A field that only an item has
+    /// has the path `LIST.FIELD`, without the item.
     pub fn field_by_path(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         if section == self.list.name() {
@@ -129,7 +133,7 @@ impl Declaration {
     /// Returns the words that a field of this type may hold; empty for a type without words.
     pub fn words_of(&self, field_type: &FieldType) -> &[Alternative] {
         match field_type {
-            FieldType::Choice(words) | FieldType::Source(words) => words,
+            FieldType::Choice(words) | FieldType::WordOrFile(words) => words,
             FieldType::Registered => &self.registered,
             FieldType::Whole { .. }
             | FieldType::Number(_)
@@ -168,5 +172,5 @@ impl Declaration {
 /// Whether `path` is `header` or below it.
 pub(super) fn is_within(path: &str, header: &str) -> bool {
     path.strip_prefix(header)
-        .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        .is_some_and(|suffix| suffix.is_empty() || suffix.starts_with('.'))
 }

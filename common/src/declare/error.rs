@@ -1,5 +1,5 @@
 //! Errors of a scenario, each as one sentence with the cause and the fix. `bs/src/scenario/tests/messages.rs` expects
-//! their texts.
+//! their texts. Other errors use [`quoted_list`] and [`truncate`] too.
 
 use std::io;
 use std::path::PathBuf;
@@ -90,7 +90,7 @@ pub enum ScenarioError {
     Missing {
         /// The full path of the field.
         field: String,
-        /// The setting that makes it required, with its origin.
+        /// The end of the sentence: the setting that makes it required, with its origin, or "in every scenario".
         why: String,
     },
     /// Other settings leave the field without effect.
@@ -145,7 +145,7 @@ pub fn quoted_list<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     }
 }
 
-/// Truncates `text` to its first line and to a length that fits a message.
+/// Truncates `text` to its first line and to 60 characters; "…" marks a cut.
 pub fn truncate(text: &str) -> String {
     const MAX_CHARS: usize = 60;
     let line = text.split(['\n', '\r']).next().unwrap_or_default();

@@ -1,5 +1,6 @@
 //! Declared fields: type, range, default, unit, help and condition, with a constructor per type for `declare!`. Schema
-//! and reference page show all of it; a test compares `docs/scenario.md`. The hash covers paths and values only.
+//! and reference page show all of it; a test compares `docs/scenario.md`. The hash covers paths and values only, so a
+//! new active field, a new name or a new default changes it. A new name also belongs in `tests/fuzz/scenario.dict`.
 
 use std::fmt;
 
@@ -92,12 +93,12 @@ fn format_number(x: f64) -> String {
 pub const POSITIVE: Range = Range::above(0.0, 1e6);
 /// 0 to 10⁶, so that squares and sums do not overflow.
 pub const NOT_NEGATIVE: Range = Range::closed(0.0, 1e6);
-/// A share that may be 0 but not 1.
-pub const BELOW_ONE: Range = Range::below(0.0, 1.0);
-/// A share or probability that may be 0 and 1.
+/// A share of at least 0 and below 1.
+pub const SHARE_BELOW_ONE: Range = Range::below(0.0, 1.0);
+/// A share or probability from 0 to 1, both included.
 pub const PROBABILITY: Range = Range::closed(0.0, 1.0);
-/// A share or probability that may be 1 but not 0.
-pub const ABOVE_ZERO: Range = Range::above(0.0, 1.0);
+/// A share or probability above 0 and at most 1; [`POSITIVE`] has no limit of 1.
+pub const SHARE_ABOVE_ZERO: Range = Range::above(0.0, 1.0);
 
 /// Returns the range of a field of the type [`FieldType::Energy`], in units.
 pub(super) fn energy_range(is_positive: bool) -> Range {
@@ -105,7 +106,7 @@ pub(super) fn energy_range(is_positive: bool) -> Range {
     Range::closed(min.units(), MAX_UNITS)
 }
 
-/// The type of a field with its bounds.
+/// The type of a field with its bounds. The Rust type of the field must hold every allowed value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldType {
     /// A whole number from `min` to `max`.
@@ -130,10 +131,11 @@ pub enum FieldType {
     Registered,
     /// Any text.
     Text,
-    /// The path of a file.
+    /// The path of a file. The field must be an `Option`, which is `None` in [`Visit`], because [`crate::declare!`]
+    /// would hash the path as text. The owner passes it by hand as [`FieldValue::Path`] with the content.
     File,
-    /// A word from a fixed list, or the path of a file; unrelated to [`Field::source`].
-    Source(&'static [Alternative]),
+    /// A word from a fixed list, or the path of a file; visited like [`Self::File`].
+    WordOrFile(&'static [Alternative]),
     /// A list of whole numbers.
     Wholes {
         /// Smallest allowed element.
@@ -162,7 +164,7 @@ impl FieldType {
             | Self::Registered
             | Self::Text
             | Self::File
-            | Self::Source(_)
+            | Self::WordOrFile(_)
             | Self::Texts => self.describe_type().to_owned(),
         }
     }
@@ -173,7 +175,7 @@ impl FieldType {
             Self::Whole { .. } => "a whole number that is not negative",
             Self::Number(_) | Self::Energy { .. } => "a number",
             Self::Switch => "true or false",
-            Self::Choice(_) | Self::Registered | Self::Text | Self::File | Self::Source(_) => "a string",
+            Self::Choice(_) | Self::Registered | Self::Text | Self::File | Self::WordOrFile(_) => "a string",
             Self::Wholes { .. } | Self::Texts => "a list",
         }
     }
@@ -186,14 +188,16 @@ pub enum FieldDefault {
     Value(FieldValue<'static>),
     /// A value derived from other fields, described as text.
     Derived(&'static str),
-    /// No value: the field must be set wherever it has an effect. For the type `Option`, its concept checks this.
+    /// No value: the field must be set wherever it has an effect. For the type `Option`, the code that reads the
+    /// section checks this.
     None,
 }
 
 /// The setting under which a field has an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FieldCondition {
-    /// The full path at the top level of the field that decides (`harvest.kind`).
+    /// The full path at the top level of the field that decides (`harvest.kind`). Under an unknown path the
+    /// condition never holds.
     pub field: &'static str,
     /// The values of that field under which this field has an effect.
     pub values: &'static [&'static str],
@@ -227,7 +231,8 @@ pub struct Field {
     pub source: &'static str,
     /// The setting under which the field has an effect, in place of its section's.
     pub only_with: Option<FieldCondition>,
-    /// An alternative field of the same section for the same quantity. The later layer decides which one applies.
+    /// An alternative field of the same section for the same quantity. The later layer decides which one applies. Both
+    /// fields must name each other.
     pub instead_of: Option<&'static str>,
     /// A former name, which is still accepted with a warning.
     pub former_name: Option<&'static str>,
@@ -262,9 +267,9 @@ impl Field {
 
     /// Returns the field with a default that is derived from other fields, described as text.
     #[must_use]
-    pub const fn derived(self, words: &'static str) -> Self {
+    pub const fn derived(self, rule: &'static str) -> Self {
         Self {
-            default: FieldDefault::Derived(words),
+            default: FieldDefault::Derived(rule),
             ..self
         }
     }
@@ -307,12 +312,12 @@ impl Field {
 
     /// Returns the field with its name and help; [`crate::declare!`] calls this.
     #[must_use]
-    pub const fn named(self, name: &'static str, help: &'static str) -> Self {
+    pub const fn with_name_and_help(self, name: &'static str, help: &'static str) -> Self {
         Self { name, help, ..self }
     }
 }
 
-/// Declares a whole number from `min` to `max`.
+/// Declares a whole number from `min` to `max`. No constructor checks that its default is an allowed value.
 pub const fn whole(min: u64, max: u64, default: u64) -> Field {
     Field::new(
         FieldType::Whole { min, max },
@@ -368,8 +373,11 @@ pub const fn word(words: &'static [Alternative], default: &'static str) -> Field
 }
 
 /// Declares a field that holds one of `words`, or the path of a file.
-pub const fn source(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::new(FieldType::Source(words), FieldDefault::Value(FieldValue::Text(default)))
+pub const fn word_or_file(words: &'static [Alternative], default: &'static str) -> Field {
+    Field::new(
+        FieldType::WordOrFile(words),
+        FieldDefault::Value(FieldValue::Text(default)),
+    )
 }
 
 /// Declares a field that holds any text.
@@ -428,13 +436,15 @@ impl Section {
 /// A receiver of every active field with its value, in the order of declaration: writes, hashes or compares them.
 /// Active fields are those with a value, in the settings that the choices of a scenario select.
 pub trait FieldSink {
-    /// Starts the list item `name` (a device class). The following fields belong to it.
+    /// Starts the list item `name` (a device class). The following fields belong to it, so the fields of the top level
+    /// come first.
     fn item(&mut self, name: &str);
 
     /// Receives the value of `field` in `section`.
     fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>);
 
-    /// Receives the contents of the file that the last field names, or their fingerprint.
+    /// Receives the contents of the file that the last field names, the values read from it, or their fingerprint. The
+    /// hash depends on the division into calls.
     fn content(&mut self, bytes: &[u8]);
 }
 

@@ -1,5 +1,6 @@
 //! The file access that pure code needs. The implementation for real files is [`crate::io::Disk`], the one for scenario
-//! files in recordings `view/src/recording/bundle.rs`.
+//! files in recordings `view/src/recording/bundle.rs`; [`NoFiles`] has none. Error texts are parts of sentences: their
+//! callers put the path before them, and tests expect them.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -26,7 +27,7 @@ pub enum FileError {
     },
 }
 
-/// Describes why a file cannot be read. A missing file gets the `hint`, an imperative.
+/// Describes why a file cannot be read, without its path. Only a missing file gets the `hint`, an imperative.
 pub fn describe_read_error(error: &io::Error, hint: &str) -> String {
     if error.kind() == io::ErrorKind::NotFound {
         format!("no such file; {hint}")

@@ -1,5 +1,5 @@
-//! The hash of a scenario. Run folders, result tables and learned files store it, so the bytes hashed for a field must
-//! not change unless the format's version does.
+//! The hash of a scenario, which `common/src/scenario/model.rs` computes. Run folders, result tables and learned files
+//! store it, so the bytes hashed for a field must not change unless the format's version does: `HASH_FORMAT` there.
 
 use sha2::{Digest, Sha256};
 
@@ -14,12 +14,13 @@ pub struct ScenarioHasher {
     hasher: Sha256,
     /// The name of the current list item, which prefixes its paths; empty at the top level.
     item_name: String,
+    /// The path of the only field that is not hashed.
     omitted_path: &'static str,
 }
 
 impl ScenarioHasher {
     /// Creates a hasher before the first field. `format_version` starts the hashed bytes; `omitted_path` is the path of
-    /// a field that is not hashed.
+    /// a field of the top level that is not hashed.
     pub fn new(format_version: &str, omitted_path: &'static str) -> Self {
         let mut hasher = Self {
             hasher: Sha256::new(),
@@ -65,7 +66,7 @@ impl FieldSink for ScenarioHasher {
             FieldValue::Energy(energy) => self.hash_number(energy.micro()),
             FieldValue::Switch(is_on) => self.hash_number(u64::from(is_on)),
             FieldValue::Text(text) => self.hash_text(text),
-            // The content of the file follows, see `content`.
+            // The content of the file follows, see `content`. Without that call, the hash would not depend on the file.
             FieldValue::Path(_) => {}
             FieldValue::Wholes(list) => {
                 self.hash_number(list.len() as u64);

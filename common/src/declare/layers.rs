@@ -1,14 +1,13 @@
-//! The layers of a configuration (presets, file, command line), merged in order. The origin of each value is kept. The
-//! reader finds origins by the same paths, with the index of a list's item (`class.0.energy.e_max`).
-
-use std::ops::Range;
+//! The layers of a configuration (presets, file, command line), merged in order by `scenario/load.rs`: a later layer
+//! overrides the earlier ones. The origin of each value is kept. The reader finds origins by the same paths, with the
+//! index of a list's item (`class.0.energy.e_max`).
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::declaration::{Declaration, Scope};
 use super::error::{ScenarioError, quoted_list, truncate};
-use super::layer::{Layer, owned_key};
+use super::layer::{Layer, origin_offset, owned_key};
 use super::names;
 use super::origins::{LayerOrigin, ValueOrigins};
 
@@ -21,7 +20,8 @@ pub struct Layers<'a> {
     warnings: Vec<String>,
 }
 
-/// The merged layers: every item of the list has the sections that it inherits.
+/// The merged layers: every item of the list has the sections that it inherits. Inherited values have no origin in the
+/// item, only at the top level.
 #[derive(Debug)]
 pub struct Merged<'a> {
     /// The merged table.
@@ -82,8 +82,13 @@ impl<'a> Layers<'a> {
         for item in items_mut(&mut self.table, list.name()) {
             for (section, base) in &inherited {
                 let mut full = base.clone();
-                if let Some(own) = table_mut(item, section) {
-                    overlay(self.declaration, (Scope::Item, section), &mut full, std::mem::take(own));
+                if let Some(overrides) = table_mut(item, section) {
+                    overlay(
+                        self.declaration,
+                        (Scope::Item, section),
+                        &mut full,
+                        std::mem::take(overrides),
+                    );
                 }
                 item.insert(owned_key(section), Spanned::new(0..0, DeValue::Table(full)));
             }
@@ -96,7 +101,8 @@ impl<'a> Layers<'a> {
     }
 }
 
-/// Overrides the values in `base`, the table at `location` in `declaration`, by those in `above`, field by field.
+/// Overrides the values in `base`, the table at `location` in `declaration`, by the values in `above`, field by field.
+/// `above` has passed [`names::check_layer`]. The list and other arrays are replaced as a whole.
 fn overlay<'a>(declaration: &Declaration, location: (Scope, &str), base: &mut DeTable<'a>, above: DeTable<'a>) {
     let (scope, path) = location;
     let field = |name: &str| declaration.field(scope, path, name).map(|(_, field)| field);
@@ -121,6 +127,7 @@ fn overlay<'a>(declaration: &Declaration, location: (Scope, &str), base: &mut De
     }
 }
 
+/// Records the origins of all values in `table`, whose paths start with `prefix`: "" or a path with a dot at its end.
 fn record_origins(table: &DeTable<'_>, prefix: &str, origin: &LayerOrigin, origins: &mut ValueOrigins) {
     for (name, value) in table {
         let path = format!("{prefix}{}", name.get_ref());
@@ -145,16 +152,11 @@ fn record_origins(table: &DeTable<'_>, prefix: &str, origin: &LayerOrigin, origi
             | DeValue::Boolean(_)
             | DeValue::Datetime(_) => {}
         }
-        origins.insert(path, origin.origin_at(origin_offset(name.span(), value.span())));
+        origins.insert(path, origin.origin_at(origin_offset(name, value)));
     }
 }
 
-/// Returns the offset of a key, or of its value if the key has none, as in overrides.
-fn origin_offset(name: Range<usize>, value: Range<usize>) -> usize {
-    if name.is_empty() { value.start } else { name.start }
-}
-
-/// Returns the item `name` of `list`, with its index.
+/// Returns the item `name` of `list`, with its index; an error names the items that exist in the layers so far.
 fn find_item<'t, 'a>(
     table: &'t mut DeTable<'a>,
     list: &str,

@@ -1,5 +1,6 @@
-//! [`crate::declare!`], which declares a struct of settings and the section of its fields together. Fields
-//! are read, written and hashed in the order of their declaration.
+//! [`crate::declare!`], which declares a struct of settings and the section of its fields together. Fields are read,
+//! written and hashed in the order of their declaration. Names and doc comments appear in `docs/scenario.md`, which a
+//! test compares.
 
 /// Declares a struct and the fields of its section together. The doc comments become the help of the fields; the one
 /// of the struct describes the section.
@@ -21,8 +22,12 @@
 /// ```
 ///
 /// A default derived from other fields is an expression over the preceding fields, after `=>`; it may use `?`. The
-/// struct gets `SECTION`, [`Visit`](super::Visit), and `read`, which takes the values of a
-/// [`FieldReader`](super::FieldReader) and checks their ranges.
+/// struct gets `SECTION`, [`Settings`](super::Settings), [`Visit`](super::Visit), and `read`, which takes the values of
+/// a [`FieldReader`](super::FieldReader) and checks their ranges.
+///
+/// `struct Plot in "plot" only with "layout.kind" = &["grid", "hex"]; { … }` sets the condition of the whole section,
+/// [`Section::only_with`](super::Section::only_with). A section also belongs in the declaration of its configuration.
+/// A struct that also derives `Serialize` is part of the wire format, by the order of its fields.
 #[macro_export]
 macro_rules! declare {
     (
@@ -48,7 +53,7 @@ macro_rules! declare {
             $vis const SECTION: &'static $crate::declare::Section = &$crate::declare::Section {
                 path: $path,
                 about: concat!($($about),+).trim_ascii(),
-                fields: &[$( $field.named(stringify!($name), concat!($($help),+).trim_ascii()) ),+],
+                fields: &[$( $field.with_name_and_help(stringify!($name), concat!($($help),+).trim_ascii()) ),+],
                 only_with: $crate::declare!(@condition $($condition = $values)?),
             };
 

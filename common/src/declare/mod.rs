@@ -7,6 +7,9 @@
 //! ([`reference_page()`]). None of this depends on the meaning of the fields.
 //!
 //! Reading, in order: `overrides` and `layer` parse, `names` checks, `layers` merges, `reader` checks ranges.
+//!
+//! A new or renamed field or word changes `docs/scenario.md`, `tests/fuzz/scenario.dict` and, for the scenarios in
+//! which it is active, the scenario hash. Tests in `bs/src/scenario/tests/pages.rs` compare the two files.
 
 mod choice;
 mod declaration;
@@ -32,8 +35,9 @@ pub(crate) use error::did_you_mean;
 pub use error::{ScenarioError, quoted_list, truncate};
 pub(crate) use field::positive_energy;
 pub use field::{
-    ABOVE_ZERO, BELOW_ONE, Field, FieldCondition, FieldDefault, FieldType, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range,
-    Section, choice, energy, file, number, registered, source, switch, text, texts, whole, wholes, word,
+    Field, FieldCondition, FieldDefault, FieldType, NOT_NEGATIVE, POSITIVE, PROBABILITY, Range, SHARE_ABOVE_ZERO,
+    SHARE_BELOW_ONE, Section, choice, energy, file, number, registered, switch, text, texts, whole, wholes, word,
+    word_or_file,
 };
 pub use field::{FieldSink, Visit};
 pub use files::{FileError, Files, NoFiles, describe_read_error};

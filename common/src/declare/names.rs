@@ -1,5 +1,6 @@
 //! The check of a layer's names and types against the declaration. The reader checks ranges later, after the merge, and
-//! relies on the types. The Python package recognises warnings by [`FORMER_NAME_NOTICE`].
+//! relies on the types. The Python package recognises warnings by [`FORMER_NAME_NOTICE`], which
+//! `deploy/src/cli/former.rs` repeats for options.
 
 use std::fmt::Display;
 use std::ops::Range;
@@ -12,7 +13,7 @@ use super::declaration::{Declaration, Scope};
 use super::error::{ScenarioError, did_you_mean, quoted_list, truncate};
 use super::field::FieldType;
 use super::join_path;
-use super::layer::Layer;
+use super::layer::{Layer, origin_offset};
 use super::origins::ValueOrigin;
 
 /// The end of each warning about a former name.
@@ -54,11 +55,7 @@ fn replace_former_in(
             .filter(|field| !table.contains_key(field.name))
             && let Some(value) = table.remove(key)
         {
-            let offset = if name.span().is_empty() {
-                value.span().start
-            } else {
-                name.span().start
-            };
+            let offset = origin_offset(&name, &value);
             renamed.push((join_path(path, key), join_path(path, field.name), offset));
             table.insert(Spanned::new(name.span(), field.name.into()), value);
             continue;
@@ -121,13 +118,7 @@ impl NameCheck<'_, '_> {
                 };
                 self.check_table(inner, scope, &join_path(path, key), &shown_path)?;
             } else {
-                // Names from the command line have no offset in the text, only their values have one.
-                let span = if name.span().is_empty() {
-                    value.span()
-                } else {
-                    name.span()
-                };
-                let origin = self.layer.origin.origin_at(span.start);
+                let origin = self.layer.origin.origin_at(origin_offset(name, value));
                 return Err(match self.declaration.field_by_former_name(scope, path, key) {
                     // `replace_former` leaves a former name only next to the name of today.
                     Some(field) => former_name_error(shown_path, field.name, origin),
@@ -156,27 +147,36 @@ impl NameCheck<'_, '_> {
         Ok(())
     }
 
-    fn unknown_field(&self, name: &str, shown: String, origin: ValueOrigin, scope: Scope, path: &str) -> ScenarioError {
+    /// Returns the error for the unknown field `name` below the header `path` in `scope`; messages call it
+    /// `shown_path`.
+    fn unknown_field(
+        &self,
+        name: &str,
+        shown_path: String,
+        origin: ValueOrigin,
+        scope: Scope,
+        path: &str,
+    ) -> ScenarioError {
         let sections = self.declaration.sections_at(scope, path);
-        let own = sections
+        let field_names = sections
             .iter()
             .flat_map(|section| section.fields)
             .map(|field| field.name);
-        let valid: Vec<&str> = own.chain(self.declaration.child_names(scope, path)).collect();
+        let valid: Vec<&str> = field_names.chain(self.declaration.child_names(scope, path)).collect();
         let elsewhere: Vec<String> = self
             .declaration
             .field_paths()
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
         let candidates = elsewhere.iter().map(String::as_str).chain(valid.iter().copied());
-        let is_registered = self.declaration.registered.iter().any(|word| word.name == name);
-        let hint = if is_registered {
+        let is_policy = self.declaration.registered.iter().any(|word| word.name == name);
+        let hint = if is_policy {
             format!("; the policy `{name}` has no fields")
         } else {
             did_you_mean(name, candidates)
         };
         ScenarioError::UnknownField {
-            field: shown,
+            field: shown_path,
             hint,
             valid: quoted_list(valid.iter().copied()),
             origin,
@@ -230,13 +230,15 @@ impl TypeMismatch {
     }
 }
 
+/// Checks the TOML type of `value`, and the words of a choice; `registered` are the names of policies. Ranges are
+/// checked only where a number does not fit its Rust type.
 fn check_type(
     field_type: &FieldType,
     value: &Spanned<DeValue<'_>>,
     registered: &[Alternative],
 ) -> Result<(), TypeMismatch> {
     let mismatch = || TypeMismatch::new(value, format!("must be {}", field_type.describe_type()));
-    let word = |words: &[Alternative]| match value.get_ref().as_str() {
+    let check_choice = |words: &[Alternative]| match value.get_ref().as_str() {
         Some(word) => check_word(word, words).map_err(|allowed| TypeMismatch::new(value, allowed)),
         None => Err(mismatch()),
     };
@@ -251,14 +253,15 @@ fn check_type(
         },
         FieldType::Number(_) | FieldType::Energy { .. } => require(to_float(value.get_ref()).is_some()),
         FieldType::Switch => require(value.get_ref().is_bool()),
-        FieldType::Choice(words) => word(words),
-        FieldType::Registered => word(registered),
-        FieldType::Text | FieldType::File | FieldType::Source(_) => require(value.get_ref().is_str()),
+        FieldType::Choice(words) => check_choice(words),
+        FieldType::Registered => check_choice(registered),
+        FieldType::Text | FieldType::File | FieldType::WordOrFile(_) => require(value.get_ref().is_str()),
         FieldType::Wholes { .. } => check_items(value, mismatch, &FieldType::Whole { min: 0, max: u64::MAX }),
         FieldType::Texts => check_items(value, mismatch, &FieldType::Text),
     }
 }
 
+/// Checks that `value` is a list, or else returns `mismatch`, and that its items have the type `field_type`.
 fn check_items(
     value: &Spanned<DeValue<'_>>,
     mismatch: impl Fn() -> TypeMismatch,

@@ -1,5 +1,5 @@
-//! The origins of values: preset, file or command line. They affect errors and warnings, and the folder to
-//! which a relative path refers: the folder of the file, or the working directory for the command line.
+//! The origins of values: preset, file or command line. They affect errors and warnings, and the folder to which a
+//! relative path refers: the folder of the file, or the working directory for the command line. Tests expect the texts.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,7 +17,7 @@ pub enum ValueOrigin {
         /// The line, from 1.
         line: usize,
     },
-    /// On the command line.
+    /// On the command line, by this option; `--set` includes its argument.
     Flag(Arc<str>),
     /// Not set by a preset, a file or the command line.
     Unset,
@@ -49,7 +49,7 @@ pub enum LayerOrigin {
         /// The offsets at which the lines begin, except the first.
         line_starts: Vec<usize>,
     },
-    /// An option of the command line.
+    /// An option of the command line; `--set` includes its argument.
     Flag(Arc<str>),
 }
 
@@ -63,7 +63,7 @@ impl LayerOrigin {
         }
     }
 
-    /// Returns the origin of the value at the byte `offset` of the layer's text.
+    /// Returns the origin of the value at the byte `offset` of the layer's text. Only a file distinguishes offsets.
     pub fn origin_at(&self, offset: usize) -> ValueOrigin {
         match self {
             Self::Preset(name) => ValueOrigin::Preset(name),

@@ -9,15 +9,15 @@ use toml::de::DeValue;
 
 use super::error::ScenarioError;
 
-/// Maximum number of names in the path of a field, its own included. No field has as many.
+/// Maximum number of names in the path of a field, with the name of the field. No field has as many.
 const MAX_PATH_NAMES: usize = 8;
 
 /// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Override {
-    /// The option that set the field, for messages; `--set` with its argument.
-    pub(super) flag: Arc<str>,
-    /// The path of the field, with at least one name.
+    /// The option that set the field, for messages; `--set` with its argument, truncated.
+    pub(super) label: Arc<str>,
+    /// The path of the field: 1 to [`MAX_PATH_NAMES`] names, none empty.
     pub(super) path: Vec<String>,
     /// A TOML value, or a bare word that stands for a string.
     pub(super) value: String,
@@ -25,7 +25,7 @@ pub struct Override {
 
 impl Override {
     /// Parses the argument of `--set`: `path.to.field=value`, such as `sensing.d_max=5`, `policy.name=genie` or, for
-    /// one class of devices, `class.NAME.energy.e_tx=3`.
+    /// one class of devices without a dot in its name, `class.NAME.energy.e_tx=3`.
     ///
     /// # Errors
     /// If the argument does not have this format.
@@ -41,11 +41,12 @@ impl Override {
     /// has the same format as after `--set`.
     ///
     /// # Errors
-    /// If `path` is empty or `value` is a broken TOML string, list or table.
+    /// If `path` has an empty name or too many names, or `value` is a broken TOML string, list or table.
     pub fn from_flag(flag: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         Self::with_label(flag, flag, path, value)
     }
 
+    /// Parses an override. `flag` is the option in errors, `label` the origin of the value in later messages.
     fn with_label(flag: &str, label: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         let names: Vec<String> = path.split('.').map(|name| name.trim().to_owned()).collect();
         if names.iter().any(String::is_empty) || names.len() > MAX_PATH_NAMES {
@@ -53,7 +54,7 @@ impl Override {
             return Err(malformed(flag, &format!("{path}={value}"), reason));
         }
         let parsed = Self {
-            flag: Arc::from(super::error::truncate(label)),
+            label: Arc::from(super::error::truncate(label)),
             path: names,
             value: value.trim().to_owned(),
         };
@@ -62,6 +63,7 @@ impl Override {
         Ok(parsed)
     }
 
+    /// Returns the value, a string if it is a bare word. An override that exists has a valid value.
     pub(super) fn parse_value(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
         match DeValue::parse(&self.value) {
             Ok(value) => Ok(value),
@@ -69,7 +71,7 @@ impl Override {
             Err(error) if self.value.starts_with(['"', '\'', '[', '{']) => {
                 let text = format!("{}={}", self.path.join("."), self.value);
                 let reason = format!("the value is not valid TOML: {}", error.message());
-                Err(malformed(&self.flag, &text, reason))
+                Err(malformed(&self.label, &text, reason))
             }
             Err(_) => Ok(Spanned::new(
                 0..self.value.len(),
@@ -87,6 +89,7 @@ impl FromStr for Override {
     }
 }
 
+/// Returns the error for the argument `text`; of `flag`, an option or a label, it shows the first word.
 fn malformed(flag: &str, text: &str, reason: String) -> ScenarioError {
     ScenarioError::Override {
         flag: flag.split(' ').next().unwrap_or(flag).to_owned(),

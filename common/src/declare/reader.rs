@@ -43,7 +43,7 @@ pub struct FileContext<'a> {
 /// The values of a whole file, or of one item of its list.
 ///
 /// Fields have their full paths at the top level (`energy.e_max`); fields that only an item has use the path of the
-/// list (`class.share`).
+/// list (`class.share`). The merged layers have passed the check of names and types (`names.rs`).
 pub struct FieldReader<'a> {
     declaration: &'a Declaration,
     table: &'a DeTable<'a>,
@@ -99,8 +99,8 @@ impl<'a> FieldReader<'a> {
         Self { item, ..self }
     }
 
-    /// Returns this reader for the policy `name`, restricted to the policy's own fields: a policy must not read the
-    /// seed or the event process.
+    /// Returns this reader for the policy `name`, restricted to the fields below `policy.NAME`: a policy must not read
+    /// the seed or the event process. Its section must have this path. Errors may name any field.
     #[must_use]
     pub fn for_policy(&self, name: &str) -> Self {
         Self {
@@ -113,11 +113,11 @@ impl<'a> FieldReader<'a> {
     /// # Panics
     /// If this reader must not read the field at `path`.
     fn assert_readable(&self, path: &str) {
-        let is_own = self
+        let is_readable = self
             .readable_prefix
             .as_ref()
             .is_none_or(|prefix| path.starts_with(prefix));
-        assert!(is_own, "a policy may read only its own fields, not {path}");
+        assert!(is_readable, "a policy may read only its own fields, not {path}");
     }
 
     /// Returns the value of a field, or its default.
@@ -142,6 +142,9 @@ impl<'a> FieldReader<'a> {
     ///
     /// # Errors
     /// If the value is out of its range.
+    ///
+    /// # Panics
+    /// If a policy reads a field that is not its own.
     pub fn optional_field<T: FieldRepr>(
         &self,
         section: &'static Section,
@@ -180,9 +183,11 @@ impl<'a> FieldReader<'a> {
             FieldType::Switch => value
                 .as_bool()
                 .and_then(|is_on| T::from_value(FieldValue::Switch(is_on))),
-            FieldType::Choice(_) | FieldType::Registered | FieldType::Text | FieldType::File | FieldType::Source(_) => {
-                value.as_str().and_then(|text| T::from_value(FieldValue::Text(text)))
-            }
+            FieldType::Choice(_)
+            | FieldType::Registered
+            | FieldType::Text
+            | FieldType::File
+            | FieldType::WordOrFile(_) => value.as_str().and_then(|text| T::from_value(FieldValue::Text(text))),
             FieldType::Wholes { min, max, max_len } => {
                 let list: Vec<i128> = elements(value).filter_map(to_integer).collect();
                 let range = i128::from(*min)..=i128::from(*max);
@@ -217,9 +222,9 @@ impl<'a> FieldReader<'a> {
 
     /// Converts `path` to this table: fields that only an item has lose the name of the list.
     fn path_in_table<'p>(&self, path: &'p str) -> &'p str {
-        let own = path.strip_prefix(self.declaration.list.name());
-        match (&self.item, own.and_then(|own| own.strip_prefix('.'))) {
-            (Some(_), Some(own_path)) => own_path,
+        let below_list = path.strip_prefix(self.declaration.list.name());
+        match (&self.item, below_list.and_then(|suffix| suffix.strip_prefix('.'))) {
+            (Some(_), Some(path_in_item)) => path_in_item,
             (Some(_), None) | (None, _) => path,
         }
     }
@@ -235,7 +240,10 @@ impl<'a> FieldReader<'a> {
         }
     }
 
-    /// Whether `condition` holds for this reader.
+    /// Whether `condition` holds for this reader. A default counts as a set value.
+    ///
+    /// # Panics
+    /// If a policy reads a field that is not its own.
     pub fn condition_holds(&self, condition: &FieldCondition) -> bool {
         self.assert_readable(condition.field);
         self.word_at(condition.field)
@@ -250,6 +258,7 @@ impl<'a> FieldReader<'a> {
         )
     }
 
+    /// Returns the origin of the value at `path` in this table, inherited values excluded.
     fn own_origin(&self, path: &str) -> Option<&'a ValueOrigin> {
         let path = self.path_in_table(path);
         match &self.item {
@@ -260,7 +269,8 @@ impl<'a> FieldReader<'a> {
         }
     }
 
-    /// Returns the full path of a field for messages, and the origin of its value.
+    /// Returns the full path of a field for messages, and the origin of its value: the path in the item if the item
+    /// sets the value, the path at the top level if the item inherits it.
     pub(crate) fn locate(&self, path: &str) -> (String, ValueOrigin) {
         let has_default = || {
             let field = self.declaration.field_by_path(path);
@@ -273,17 +283,17 @@ impl<'a> FieldReader<'a> {
                 ValueOrigin::Unset
             }
         };
-        let Some((_, shown)) = &self.item else {
+        let Some((_, item_name)) = &self.item else {
             return (path.to_owned(), self.own_origin(path).cloned().unwrap_or_else(default));
         };
         let list = self.declaration.list;
-        let own = join_path(&join_path(list.name(), shown), self.path_in_table(path));
+        let path_with_item = join_path(&join_path(list.name(), item_name), self.path_in_table(path));
         let inherited = list.inherits_section(path).then(|| self.origins.get(path));
         match (self.own_origin(path), inherited) {
-            (Some(origin), _) => (own, origin.clone()),
+            (Some(origin), _) => (path_with_item, origin.clone()),
             (None, Some(Some(origin))) => (path.to_owned(), origin.clone()),
             (None, Some(None)) if has_default() => (path.to_owned(), default()),
-            (None, Some(None) | None) => (own, default()),
+            (None, Some(None) | None) => (path_with_item, default()),
         }
     }
 
@@ -339,8 +349,8 @@ impl<'a> FieldReader<'a> {
     /// Returns the absolute path of `file`, the value of the field at `path`.
     ///
     /// # Errors
-    /// If the name is empty, or there is no working directory.
-    pub fn file(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
+    /// If `file` is empty, or there is no working directory.
+    pub fn absolute_path(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
         let (_, origin) = self.locate(path);
         let full = match origin {
             ValueOrigin::Flag(_) => PathBuf::from(file),
@@ -360,7 +370,8 @@ impl<'a> FieldReader<'a> {
         self.file_context.files
     }
 
-    /// Returns the bytes of the file at `file`, if it has at most `max_bytes` bytes.
+    /// Returns the bytes of the file at `file`, a path from [`Self::absolute_path`], if it has at most `max_bytes`
+    /// bytes.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -373,7 +384,7 @@ impl<'a> FieldReader<'a> {
         self.warnings.borrow_mut().push(sentence.into());
     }
 
-    /// Returns the value at `path` as the user wrote it.
+    /// Returns the value at `path` for messages, nearly as the user wrote it.
     fn written_value(&self, path: &str) -> String {
         self.value(path)
             .map_or_else(String::new, |value| truncate(&format_value(value)))
@@ -399,6 +410,8 @@ impl<'a> FieldReader<'a> {
         Ok(())
     }
 
+    /// Checks one field as [`Self::reject_unused_fields`] does; `items` are the readers of the list's items, none in an
+    /// item.
     fn check_field(&self, section: &'static Section, field: &Field, items: &[Self]) -> Result<(), ScenarioError> {
         let path = section.path_of(field.name);
         let Some(origin) = self.own_origin(&path) else {
@@ -408,8 +421,8 @@ impl<'a> FieldReader<'a> {
         let is_effective = |reader: &Self| condition.is_none_or(|condition| reader.condition_holds(&condition));
         if !items.is_empty() && self.declaration.list.inherits_section(section.path) {
             // A field of the top level has an effect if at least one item inherits it and meets its condition.
-            let uses_it = |item: &Self| item.own_origin(&path).is_none() && is_effective(item);
-            if self.is_set(&path) && !items.iter().any(uses_it) {
+            let affects = |item: &Self| item.own_origin(&path).is_none() && is_effective(item);
+            if self.is_set(&path) && !items.iter().any(affects) {
                 let list = self.declaration.list.name();
                 let reason = match condition {
                     None => "each sets its own value".to_owned(),

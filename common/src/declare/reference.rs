@@ -1,4 +1,5 @@
-//! The reference page of all fields, in Markdown: `docs/scenario.md`, which a test compares.
+//! The reference page of all fields, in Markdown: `docs/scenario.md`, which a test compares. Every text here is part of
+//! the page; [`FieldType::describe_type`] and [`FieldType::describe_range`] are the other forms for messages.
 
 use std::fmt::Write as _;
 
@@ -9,7 +10,8 @@ use super::field::{Field, FieldDefault, FieldType, Section, energy_range};
 use super::join_path;
 use super::toml_page::format_toml;
 
-/// Returns the page: `head`, a table for each section, the words of choices, and the values of each preset.
+/// Returns the page: `head` (`bs/src/scenario/head.md`), a table for each section, the words of choices, and the values
+/// of each preset.
 pub fn reference_page(declaration: &Declaration, head: &str) -> String {
     let mut page = format!("{}\n", head.trim_end());
     for header in declaration.headers() {
@@ -60,8 +62,8 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
     page.push_str("\n| field | type, unit | range | default | meaning | source |\n|---|---|---|---|---|---|\n");
     for (section, field) in fields() {
         let type_text = match field.unit {
-            "" => describe_type(&field.field_type).to_owned(),
-            unit => format!("{}, {unit}", describe_type(&field.field_type)),
+            "" => type_cell(&field.field_type).to_owned(),
+            unit => format!("{}, {unit}", type_cell(&field.field_type)),
         };
         let mut meaning = field.help.replace('\n', " ");
         if let Some(condition) = section.condition(field) {
@@ -73,8 +75,8 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
         let cells = [
             &format!("`{}`", field.name),
             &type_text,
-            &describe_range(field),
-            &describe_default(field),
+            &range_cell(field),
+            &default_cell(field),
             &meaning,
             field.source,
         ];
@@ -88,14 +90,14 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
             for word in words {
                 let _ = writeln!(page, "- `\"{}\"`: {}", word.name, word.about.replace('\n', " "));
             }
-            if matches!(field.field_type, FieldType::Source(_)) {
+            if matches!(field.field_type, FieldType::WordOrFile(_)) {
                 page.push_str("- any other text: the path of a file.\n");
             }
         }
     }
 }
 
-const fn describe_type(field_type: &FieldType) -> &'static str {
+const fn type_cell(field_type: &FieldType) -> &'static str {
     match field_type {
         FieldType::Whole { .. } => "whole number",
         FieldType::Number(_) | FieldType::Energy { .. } => "number",
@@ -103,13 +105,13 @@ const fn describe_type(field_type: &FieldType) -> &'static str {
         FieldType::Choice(_) | FieldType::Registered => "one of the values below",
         FieldType::Text => "text",
         FieldType::File => "path of a file",
-        FieldType::Source(_) => "a value below, or the path of a file",
+        FieldType::WordOrFile(_) => "a value below, or the path of a file",
         FieldType::Wholes { .. } => "list of whole numbers",
         FieldType::Texts => "list of texts",
     }
 }
 
-fn describe_range(field: &Field) -> String {
+fn range_cell(field: &Field) -> String {
     match field.field_type {
         FieldType::Whole { min, max: u64::MAX } => format!("at least {min}"),
         FieldType::Whole { min, max } => format!("{min} to {max}"),
@@ -125,11 +127,11 @@ fn describe_range(field: &Field) -> String {
         | FieldType::Registered
         | FieldType::Text
         | FieldType::File
-        | FieldType::Source(_) => String::new(),
+        | FieldType::WordOrFile(_) => String::new(),
     }
 }
 
-fn describe_default(field: &Field) -> String {
+fn default_cell(field: &Field) -> String {
     match field.default {
         FieldDefault::Value(value) => format!("`{}`", format_toml(&value)),
         FieldDefault::Derived(rule) => rule.to_owned(),
@@ -176,7 +178,7 @@ mod tests {
     #[test]
     fn the_range_of_an_energy_is_what_its_type_accepts() {
         for (field, smallest) in [(energy(1.0), 0), (positive_energy(1.0), 1)] {
-            let range = describe_range(&field);
+            let range = range_cell(&field);
             let ends: Vec<f64> = range.split(" to ").map(|end| end.parse().expect("a number")).collect();
             assert_eq!(
                 Energy::from_units(ends[0]),

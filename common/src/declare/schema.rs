@@ -1,5 +1,6 @@
 //! A JSON Schema (draft 2020-12) of the file, for editors and validators. `reveille scenario schema` prints it.
-//! `tests/schema/check.py` validates presets and shipped scenarios against it, and broken ones.
+//! `tests/schema/check.py` validates presets and shipped scenarios against it, and broken ones. Former names of fields
+//! are not part of it, although loading accepts them.
 
 use serde_json::{Map, Value as Json, json};
 
@@ -97,7 +98,7 @@ fn field_schema(declaration: &Declaration, section: &Section, field: &Field) -> 
     Json::Object(schema)
 }
 
-/// Returns the schema of a field type: type and bounds.
+/// Returns the schema of a field type: type and bounds. The bounds of energies repeat `energy_range` in `field.rs`.
 fn type_schema(declaration: &Declaration, field_type: &FieldType) -> Json {
     match field_type {
         FieldType::Whole { min, max } => json!({ "type": "integer", "minimum": min, "maximum": max }),
@@ -115,7 +116,7 @@ fn type_schema(declaration: &Declaration, field_type: &FieldType) -> Json {
         FieldType::Choice(words) => choice_schema(words),
         FieldType::Registered => choice_schema(&declaration.registered),
         FieldType::Text | FieldType::File => json!({ "type": "string", "minLength": 1 }),
-        FieldType::Source(words) => {
+        FieldType::WordOrFile(words) => {
             let path = json!({ "type": "string", "minLength": 1, "description": "The path of a file." });
             json!({ "anyOf": [choice_schema(words), path] })
         }

@@ -1,5 +1,6 @@
-//! A configuration as a TOML file. [`TomlPage`] is also the way to compare two configurations. Loading the file must
-//! restore every value exactly, because `scenario.toml` of a run folder is such a file.
+//! A configuration as a TOML file, for `scenario/toml_text.rs`. [`TomlPage`] is also the way to compare two
+//! configurations. Loading the file must restore every value exactly, because `scenario.toml` of a run folder is such a
+//! file. The reference page shows defaults in the format of [`format_toml`].
 
 use std::fmt::Write as _;
 
@@ -21,7 +22,7 @@ struct PageLine {
     /// The number of the item to which the line belongs, from 1; 0 for the top level.
     item_number: usize,
     path: String,
-    /// The value as TOML.
+    /// The value as TOML. For a file it is the path, so pages with equal contents under other paths differ.
     value: String,
     /// The contents of the file that the field names, for comparison only.
     contents: Vec<u8>,
@@ -77,14 +78,14 @@ impl TomlPage {
             }
         }
         let list = declaration.list.name();
-        for item in 1..=self.items.len() {
+        for item_number in 1..=self.items.len() {
             let _ = writeln!(text, "\n[[{list}]]");
-            self.write_fields(&mut text, declaration, (Scope::Item, item), "", detail);
+            self.write_fields(&mut text, declaration, (Scope::Item, item_number), "", detail);
             for header in declaration.headers() {
                 if declaration.list.inherits_section(header) {
-                    // The first class shows every field, which suffices.
-                    let detail = if item == 1 { detail } else { Detail::ActiveOnly };
-                    self.write_section(&mut text, declaration, (Scope::Item, item), header, detail);
+                    // The first item shows every field, which suffices.
+                    let detail = if item_number == 1 { detail } else { Detail::ActiveOnly };
+                    self.write_section(&mut text, declaration, (Scope::Item, item_number), header, detail);
                 }
             }
         }
@@ -158,7 +159,8 @@ impl FieldDefault {
     }
 }
 
-/// Returns the comment of a field: meaning, unit, allowed values, condition.
+/// Returns the comment of a field: meaning, unit, allowed values, condition. The meaning is the help up to its first
+/// full stop before a blank.
 fn field_comment(
     field: &Field,
     condition: Option<FieldCondition>,
@@ -173,7 +175,7 @@ fn field_comment(
     let words = declaration.words_of(&field.field_type);
     if !words.is_empty() {
         let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
-        if matches!(field.field_type, FieldType::Source(_)) {
+        if matches!(field.field_type, FieldType::WordOrFile(_)) {
             words.push("a file".to_owned());
         }
         parts.push(words.join(" or "));
@@ -189,17 +191,18 @@ fn field_comment(
     parts.join("; ")
 }
 
+/// Formats the value as TOML, so that reading it restores the value exactly.
 pub(super) fn format_toml(value: &FieldValue<'_>) -> String {
-    let text = |text: &str| toml::Value::String(text.to_owned()).to_string();
+    let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
     match *value {
         FieldValue::Whole(whole) => whole.to_string(),
         FieldValue::Number(number) => toml::Value::Float(number).to_string(),
         FieldValue::Energy(energy) => format_units(energy),
         FieldValue::Switch(is_on) => is_on.to_string(),
-        FieldValue::Text(word) | FieldValue::Path(word) => text(word),
+        FieldValue::Text(word) | FieldValue::Path(word) => quoted(word),
         FieldValue::Wholes(list) => format!("{list:?}"),
         FieldValue::Texts(list) => {
-            let items: Vec<String> = list.iter().map(|item| text(item)).collect();
+            let items: Vec<String> = list.iter().map(|item| quoted(item)).collect();
             format!("[{}]", items.join(", "))
         }
     }

@@ -1,5 +1,5 @@
 //! Values of fields, and the conversion between them and the Rust types of fields. A new kind of value needs an arm in
-//! `fingerprint.rs`, which hashes each kind in its own way.
+//! `fingerprint.rs`, which hashes each kind in its own way, in `toml_page.rs` and in `schema.rs`.
 
 use crate::units::Energy;
 
@@ -16,7 +16,8 @@ pub enum FieldValue<'v> {
     Switch(bool),
     /// A word or a text.
     Text(&'v str),
-    /// A path. Fingerprints use the content of the file, see [`super::FieldSink::content`].
+    /// A path, or a word in place of a file. Only sinks receive it: a file's field is read as [`Self::Text`]. The hash
+    /// uses the content of the file instead, see [`super::FieldSink::content`].
     Path(&'v str),
     /// A list of whole numbers.
     Wholes(&'v [u32]),

@@ -1,8 +1,9 @@
-//! The balance compared with the actual harvest of the devices and with closed forms.
+//! The balance compared with the actual harvest of the devices and with closed forms, and the limits of its warnings.
+//! Expected numbers follow from the settings; random harvests may deviate by 3.5 standard errors.
 
 use super::*;
 use crate::harvest::Harvest;
-use crate::harvest::testing::{arrivals, draw_harvests, trace_fields};
+use crate::harvest::testing::{arrival_ttis, draw_mean_harvests, trace_fields};
 use crate::ids::Tti;
 use crate::scenario::testing::scenario_with;
 
@@ -21,7 +22,7 @@ fn the_expected_harvest_equals_the_mean_of_the_drawn_harvests() {
         &["harvest.kind=diurnal", "harvest.diurnal.start_hour=22", "ttis=605"],
     ] {
         let scenario = scenario_with(&[set, &["devices=2000"]].concat());
-        let drawn = draw_harvests(&scenario);
+        let drawn = draw_mean_harvests(&scenario);
         let n = drawn.len() as f64;
         let mean = drawn.iter().sum::<f64>() / n;
         let deviation = (drawn.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
@@ -41,7 +42,7 @@ fn recorded_harvest_is_exact_and_ranges_over_the_columns() {
             let mut fields = trace_fields(end, end);
             fields.push(format!("ttis={ttis}"));
             let scenario = scenario_with(&fields);
-            let drawn = draw_harvests(&scenario);
+            let drawn = draw_mean_harvests(&scenario);
             let balance = EnergyBalance::new(&scenario);
             let harvest = balance.harvest();
             let drawn_range = HarvestRange {
@@ -97,7 +98,7 @@ fn the_longest_gap_of_a_trace_is_the_longest_without_an_arrival() {
                     &format!("ttis={ttis}"),
                     "devices=3",
                 ]);
-                let gaps = arrivals(&scenario)
+                let gaps = arrival_ttis(&scenario)
                     .into_iter()
                     .map(|arrivals| longest_run(ttis, |tti| !arrivals.contains(&Tti(tti))));
                 let (gap, expected) = (longest_gap(&EnergyBalance::new(&scenario)), gaps.max());
@@ -141,6 +142,7 @@ fn the_longest_gap_under_the_sun_is_the_longest_night() {
             let balance = EnergyBalance::new(&scenario);
             let (gap, class) = (longest_run(ttis, is_night), &balance.classes[0]);
             assert_eq!(longest_gap(&balance), Some(gap), "{fields:?}");
+            // The capacity of a battery is 100 units.
             let batteries = gap.0 as f64 * class.sleeping_cost / 100.0;
             assert!((class.batteries_of_longest_gap().expect("a gap") - batteries).abs() < 1e-12);
         }
@@ -162,6 +164,7 @@ fn costs_and_counts_have_their_closed_forms() {
     };
     let harvest = 5.0 * 0.1 * libm::exp(-0.1);
     assert!((class.harvest.mean - harvest).abs() < 1e-12, "{class:?}");
+    // E_WuR = 1/14, rounded to micro-units, and E_idle in 1 % of the TTIs.
     assert!((class.sleeping_cost - 0.081_429).abs() < 1e-12, "{class:?}");
     assert_eq!(class.sensing_ratio(), Some(class.harvest.mean));
     assert_eq!(class.actions_per_battery(class.sensing_cost), Some(100));
@@ -186,6 +189,7 @@ fn costs_and_counts_have_their_closed_forms() {
 fn the_duration_of_a_tti_and_the_share_out_of_reach_follow_from_the_scenario() {
     assert_eq!(balance_with(&["harvest.kind=diurnal"]).tti_seconds, [300.0]);
     assert!(balance_with(&[]).share_out_of_reach <= 0.0);
+    // A disc of radius d_max = 4 m covers at most 13 % of the area of 20 m by 20 m.
     assert!(balance_with(&["devices=1"]).share_out_of_reach > 0.8);
 }
 
@@ -205,7 +209,7 @@ fn implausible_harvests_cause_a_warning() {
             "{without_harvest:?}: {text}"
         );
     }
-    // The mean harvest is 0.0905 E_B.
+    // The mean harvest is 0.0905 E_B, and the warning starts at 10 times E_idle = 1.
     assert_eq!(warnings(&["harvest.e_b=110"]), [""; 0]);
     let ample = warnings(&["harvest.e_b=111"]).join("\n");
     assert!(

@@ -1,5 +1,6 @@
 //! The event process `aftershocks`: many epicentres lie near the previous one. Digests depend on the order of draws:
-//! whether the event is near, then x and y offsets in turn. `tests/src/reference/events.rs` repeats it.
+//! whether the event is near, then x and y offsets in turn. `tests/src/reference/events.rs` repeats it. Doc comments of
+//! fields appear in `docs/scenario.md`.
 
 use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number};
@@ -18,12 +19,13 @@ crate::declare! {
     }
 }
 
+/// The epicentres of events under `aftershocks`.
 #[derive(Clone, Debug)]
 pub(super) struct AftershockEpicentres {
     uniform: UniformEpicentres,
     settings: Aftershocks,
     /// The epicentre of the previous event.
-    last: Option<Point>,
+    previous: Option<Point>,
 }
 
 impl AftershockEpicentres {
@@ -31,20 +33,21 @@ impl AftershockEpicentres {
         Self {
             uniform,
             settings,
-            last: None,
+            previous: None,
         }
     }
 
-    /// Draws the epicentre of `event`, which must follow the event of the last call.
+    /// Draws the epicentre of `event`, which must follow the event of the last call. A call changes the state: each
+    /// event needs exactly one.
     pub(super) fn draw(&mut self, event: EventId) -> Point {
         let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
-        let epicentre = match self.last {
-            Some(last) if stream.unit() < self.settings.probability => {
-                draw_near(last, self.settings.radius, self.uniform.area, &mut stream)
+        let epicentre = match self.previous {
+            Some(previous) if stream.unit() < self.settings.probability => {
+                draw_near(previous, self.settings.radius, self.uniform.area, &mut stream)
             }
             Some(_) | None => self.uniform.draw(event),
         };
-        *self.last.insert(epicentre)
+        *self.previous.insert(epicentre)
     }
 }
 

@@ -1,12 +1,13 @@
 //! The event process `bursts`: events are frequent in busy phases and rare in quiet phases. Digests depend on the
-//! draws: one per event, and the draws of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts.
+//! draws: one per event, and the draws of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts, and
+//! `tests/tests/bursts.rs` tests this file. Doc comments of fields appear in `docs/scenario.md`.
 
-use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
+use crate::declare::{PROBABILITY, Range, SHARE_ABOVE_ZERO, number};
 use crate::ids::{EventId, Tti};
 use crate::phases::{Phase, Phases};
 use crate::rng::{Purpose, Stream};
 
-/// Range of the mean lengths of phases. No phase is shorter than a TTI.
+/// Range of the mean lengths of phases. No phase is shorter than a TTI. `radio/bursts.rs` has an equal one.
 const MEAN_TTIS_RANGE: Range = Range::closed(1.0, 1e9);
 
 crate::declare! {
@@ -16,7 +17,7 @@ crate::declare! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct EventBursts in "events.bursts" only with "events.process" = &["bursts"]; {
         /// Probability that an event starts in a busy-phase TTI without an active event.
-        pub busy_alpha: f64 = number(ABOVE_ZERO, 0.8).unit("per TTI"),
+        pub busy_alpha: f64 = number(SHARE_ABOVE_ZERO, 0.8).unit("per TTI"),
         /// Probability that an event starts in a quiet-phase TTI without an active event.
         pub quiet_alpha: f64 = number(PROBABILITY, 0.02).unit("per TTI"),
         /// Mean length of a busy phase.
@@ -28,7 +29,7 @@ crate::declare! {
 
 impl EventBursts {
     /// The long-run mean of the probability that an event starts in a TTI in which none is active.
-    pub(super) fn alpha(&self) -> f64 {
+    pub(super) fn long_run_alpha(&self) -> f64 {
         mean_alpha(self, self.busy_ttis, self.quiet_ttis)
     }
 
@@ -36,7 +37,7 @@ impl EventBursts {
     /// `seed`; the long-run mean for an empty range.
     pub(super) fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
         if first >= end {
-            return self.alpha();
+            return self.long_run_alpha();
         }
         let mut phases = self.phases(seed);
         let (mut k, mut busy_count) = (first, 0);
@@ -52,11 +53,12 @@ impl EventBursts {
     }
 
     fn phases(&self, seed: u64) -> Phases {
-        Phases::new(Stream::new(seed, Purpose::Phases, 0), self.busy_ttis, self.quiet_ttis)
+        let stream = Stream::new(seed, Purpose::EventPhases, 0);
+        Phases::new(stream, self.busy_ttis, self.quiet_ttis)
     }
 }
 
-/// The mean of both probabilities over the given numbers of TTIs.
+/// The mean of both probabilities over the given numbers of busy and quiet TTIs, whose sum must be above 0.
 fn mean_alpha(settings: &EventBursts, busy_ttis: f64, quiet_ttis: f64) -> f64 {
     (settings.busy_alpha * busy_ttis + settings.quiet_alpha * quiet_ttis) / (busy_ttis + quiet_ttis)
 }
@@ -103,7 +105,7 @@ impl BurstStarts {
             if ttis_without_start < ttis as f64 {
                 return k.saturating_add(ttis_without_start as u64);
             }
-            // The draw outlasts this phase, so only rounding can make the rest negative.
+            // The draw outlasts this phase, so only rounding can make the difference negative.
             remaining_hazard = (remaining_hazard - hazard * ttis as f64).max(0.0);
             k = phase.end;
         }

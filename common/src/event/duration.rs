@@ -1,5 +1,6 @@
 //! The durations of events, and the share of events that ends before a device can sense them. Digests depend on the
-//! draws: one per event of random duration. The share only causes a warning in `scenario/validate.rs`.
+//! draws: one per event of random duration; `tests/src/reference/events.rs` repeats them. The share only causes a
+//! warning in `scenario/validate.rs`. Doc comments of fields and words appear in `docs/scenario.md`.
 
 use crate::declare::{choice, choices, whole};
 use crate::ids::{EventId, MAX_TTIS};
@@ -18,7 +19,7 @@ choices! {
 crate::declare! {
     /// Durations of events.
     #[derive(Clone, Copy, Debug)]
-    pub(super) struct Duration in "events" {
+    pub(super) struct DurationFields in "events" {
         /// Duration of an event unless a report ends it; the mean if `duration_kind` is "geometric".
         pub(super) duration: u64 = whole(1, MAX_TTIS, 4).unit("TTIs").source("by calibration"),
         /// Distribution of event durations.
@@ -39,7 +40,7 @@ impl DurationKind {
     }
 
     /// The share of events, `[0, 1]`, that end before a device senses them. Every place is sensed once in `interval`
-    /// TTIs, ≥ 1; events of mean duration `mean` start uniformly in between.
+    /// TTIs, ≥ 1; events of mean duration `mean`, ≥ 1 TTI, start uniformly in between.
     pub(super) fn missed_share(self, mean: u64, interval: u64) -> f64 {
         let (mean, interval) = (mean as f64, interval as f64);
         match self {

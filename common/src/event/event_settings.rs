@@ -1,12 +1,12 @@
 //! The fields of a scenario's `events` section, checked and complete. Their order in [`EventSettings::visit`] is part
-//! of the scenario hash.
+//! of the scenario hash. A field of a new struct needs an entry in `SECTIONS`, `from_fields` and `visit`.
 
 use super::aftershocks::Aftershocks;
 use super::bursts::EventBursts;
-use super::duration::{Duration, DurationKind};
+use super::duration::{DurationFields, DurationKind};
 use super::hot_spots::HotSpots;
 use super::process::{ProcessFields, ProcessSettings};
-use super::uniform::Rate;
+use super::uniform::RateFields;
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit};
 use crate::ids::Tti;
 
@@ -28,8 +28,8 @@ impl EventSettings {
     /// The fields of all kinds.
     pub(crate) const SECTIONS: [&'static Section; 6] = [
         ProcessFields::SECTION,
-        Rate::SECTION,
-        Duration::SECTION,
+        RateFields::SECTION,
+        DurationFields::SECTION,
         HotSpots::SECTION,
         Aftershocks::SECTION,
         EventBursts::SECTION,
@@ -43,12 +43,12 @@ impl EventSettings {
         let process = ProcessSettings::from_fields(reader)?;
         let alpha = match process.long_run_alpha() {
             Some(alpha) => alpha,
-            None => Rate::read(reader)?.alpha,
+            None => RateFields::read(reader)?.alpha,
         };
-        let Duration {
+        let DurationFields {
             duration,
             duration_kind,
-        } = Duration::read(reader)?;
+        } = DurationFields::read(reader)?;
         Ok(Self {
             alpha,
             duration,
@@ -57,7 +57,7 @@ impl EventSettings {
         })
     }
 
-    /// Passes every field to `sink`.
+    /// Passes every active field to `sink`.
     pub fn visit(&self, sink: &mut dyn FieldSink) {
         let Self {
             alpha,
@@ -70,9 +70,9 @@ impl EventSettings {
         }
         .visit(sink);
         if process.long_run_alpha().is_none() {
-            Rate { alpha }.visit(sink);
+            RateFields { alpha }.visit(sink);
         }
-        Duration {
+        DurationFields {
             duration,
             duration_kind,
         }
@@ -81,8 +81,8 @@ impl EventSettings {
     }
 
     /// The mean probability, from TTI `first` to before `end`, that an event starts in a TTI in which none is active.
-    /// It is [`Self::alpha`] if it is constant or the range is empty. Otherwise it follows from `seed` alone, whatever
-    /// a policy does.
+    /// It is [`Self::alpha`] if it is constant or the range is empty. Otherwise it follows from the settings and
+    /// `seed`, not from the policy. Changes of α by an operator are not included: the score accounts for them.
     pub fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
         let varying_mean = self.process.mean_start_probability(seed, first, end);
         varying_mean.unwrap_or(self.alpha)

@@ -1,6 +1,6 @@
 //! The event process `hot-spots`: most epicentres lie around a few places that the seed draws. Digests depend on the
 //! order of draws: whether the event is near a place, the place, two for the offset. `tests/src/reference/events.rs`
-//! repeats it.
+//! repeats it. Doc comments of fields appear in `docs/scenario.md`.
 
 use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number, whole};
@@ -23,11 +23,13 @@ crate::declare! {
     }
 }
 
+/// The epicentres of events under `hot-spots`.
 #[derive(Clone, Debug)]
 pub(super) struct HotSpotEpicentres {
     uniform: UniformEpicentres,
     settings: HotSpots,
-    places: Vec<Point>,
+    /// The positions of the places, as many as [`HotSpots::places`].
+    centres: Vec<Point>,
 }
 
 impl HotSpotEpicentres {
@@ -36,21 +38,22 @@ impl HotSpotEpicentres {
         Self {
             uniform,
             settings,
-            places: (0..settings.places).map(|_| uniform.draw_point(&mut stream)).collect(),
+            centres: (0..settings.places).map(|_| uniform.draw_point(&mut stream)).collect(),
         }
     }
 
+    /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
         if stream.unit() >= self.settings.share {
             return self.uniform.draw(event);
         }
-        let place = self.places[stream.below(self.places.len() as u64) as usize];
-        let (x, y) = draw_two_normal(&mut stream);
+        let centre = self.centres[stream.below(self.centres.len() as u64) as usize];
+        let (east, north) = draw_two_normal(&mut stream);
         let Area { width, height } = self.uniform.area;
         Point::new(
-            reflect(place.x + self.settings.sigma * x, width),
-            reflect(place.y + self.settings.sigma * y, height),
+            reflect(centre.x + self.settings.sigma * east, width),
+            reflect(centre.y + self.settings.sigma * north, height),
         )
     }
 }

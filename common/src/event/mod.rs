@@ -68,6 +68,7 @@ pub struct ScriptedEvent {
     pub epicentre: Point,
 }
 
+/// The origin of starts, epicentres and durations.
 #[derive(Clone, Debug)]
 enum EventSource {
     Drawn(Box<RandomEvents>),
@@ -173,7 +174,8 @@ impl EventProcess {
         })
     }
 
-    /// Ends the active event; `last` is its last TTI. The next may start one TTI later.
+    /// Ends the active event; `last` is its last TTI. The next may start one TTI later. Call it after [`Self::start`],
+    /// and with [`ActiveEvent::last`] if no report ends the event earlier: the process does not check this.
     pub fn end(&mut self, last: Tti) {
         self.active = None;
         self.schedule_next(last + 1);
@@ -181,6 +183,9 @@ impl EventProcess {
 
     /// Changes α from TTI `from` on, before any event of that TTI has started. Scripted events stay as they are. The
     /// process must have a constant α (`bs/src/actions.rs` refuses others): the next start is drawn again.
+    ///
+    /// # Panics
+    /// If `alpha` is not a probability.
     pub fn set_alpha(&mut self, from: Tti, alpha: f64) {
         if let EventSource::Drawn(drawn) = &mut self.source {
             drawn.starts.set_alpha(from, alpha);
@@ -190,6 +195,7 @@ impl EventProcess {
         }
     }
 
+    /// Determines the start of the next event, in or after TTI `earliest`.
     fn schedule_next(&mut self, earliest: Tti) {
         self.gap_start = earliest;
         let next = self.next_event;

@@ -1,8 +1,10 @@
-//! The kinds of event processes. Their words are part of scenario files and of the scenario hash.
+//! The kinds of event processes. Their words are part of scenario files and of the scenario hash; doc comments of words
+//! and fields appear in `docs/scenario.md`.
 //!
 //! Each kind has a file with its fields and its draws. This module distinguishes them, with an arm for each: of
 //! [`ProcessSettings`], [`Starts`] and [`Epicentres`]. A new kind also needs its section in `EventSettings::SECTIONS`
-//! and its rule in `tests/src/reference/events.rs`.
+//! and its rule in `tests/src/reference/events.rs`. The section names its word in `only with`, and `uniform.rs` names
+//! there the words with a constant α.
 
 use super::aftershocks::{AftershockEpicentres, Aftershocks};
 use super::bursts::{BurstStarts, EventBursts};
@@ -81,7 +83,7 @@ impl ProcessSettings {
     pub(super) fn long_run_alpha(&self) -> Option<f64> {
         match self {
             Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => None,
-            Self::Bursts(bursts) => Some(bursts.alpha()),
+            Self::Bursts(bursts) => Some(bursts.long_run_alpha()),
         }
     }
 
@@ -114,6 +116,7 @@ impl ProcessSettings {
     }
 }
 
+/// The starts of the events of a run.
 #[derive(Clone, Debug)]
 pub(super) enum Starts {
     Steady(SteadyStarts),
@@ -121,7 +124,7 @@ pub(super) enum Starts {
 }
 
 impl Starts {
-    /// Changes α from TTI `from` on. The process `bursts` has no constant α, so it stays as it is.
+    /// Changes α, `(0, 1]`, from TTI `from` on. The process `bursts` has no constant α, so it stays as it is.
     pub(super) fn set_alpha(&mut self, from: Tti, alpha: f64) {
         match self {
             Self::Steady(steady) => steady.set_alpha(from, alpha),
@@ -139,6 +142,7 @@ impl Starts {
     }
 }
 
+/// The epicentres of the events of a run.
 #[derive(Clone, Debug)]
 pub(super) enum Epicentres {
     Uniform(UniformEpicentres),

@@ -1,7 +1,8 @@
 //! The record of an ended event, for observers, the per-event table and the reference of the tests.
 //!
 //! [`EventUpdate`](crate::message::EventUpdate) carries it in the wire format, which encodes fields by position: a
-//! change of the fields or of their order raises [`WIRE_VERSION`](crate::codec::WIRE_VERSION).
+//! change of the fields or of their order raises [`WIRE_VERSION`](crate::codec::WIRE_VERSION). The table
+//! (`deploy/src/run_tables.rs`) and the dashboard have their own names for its values.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +23,7 @@ pub struct EventRecord {
     pub last: Tti,
     /// Whether the metrics count it: false if it starts in the warm-up.
     pub counted: bool,
-    /// The devices' activity for it.
+    /// The activity for it: reports, wake-ups, information and wrong activations.
     pub tally: EventTally,
     /// Why no report arrived; `None` if one did.
     pub miss_cause: Option<MissCause>,

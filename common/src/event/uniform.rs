@@ -1,11 +1,13 @@
 //! Uniform epicentres and a constant start probability: the process `uniform`, and the base of the other processes.
-//! Digests depend on the draws: x, then y; one gap per event.
+//! Digests depend on the draws: x, then y; one gap per event. `tests/src/reference/events.rs` repeats them. Doc
+//! comments of fields appear in `docs/scenario.md`.
 
-use crate::declare::{ABOVE_ZERO, number};
+use crate::declare::{SHARE_ABOVE_ZERO, number};
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 use crate::rng::{Geometric, Purpose, Stream};
 
+/// Epicentres uniform on the area.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformEpicentres {
     pub(super) seed: u64,
@@ -27,9 +29,9 @@ impl UniformEpicentres {
 crate::declare! {
     /// Rate at which events start.
     #[derive(Clone, Copy, Debug)]
-    pub(super) struct Rate in "events" only with "events.process" = &["uniform", "hot-spots", "aftershocks"]; {
+    pub(super) struct RateFields in "events" only with "events.process" = &["uniform", "hot-spots", "aftershocks"]; {
         /// Probability α that an event starts in a TTI without an active event.
-        pub(super) alpha: f64 = number(ABOVE_ZERO, 0.2)
+        pub(super) alpha: f64 = number(SHARE_ABOVE_ZERO, 0.2)
             .unit("per TTI")
             .source("Sec. II; 0.1 there, 0.2 by calibration"),
     }
@@ -54,7 +56,7 @@ impl SteadyStarts {
         }
     }
 
-    /// Changes α from TTI `from` on, which must not precede the last change.
+    /// Changes α, `(0, 1]`, from TTI `from` on, which must not precede the last change.
     pub(super) fn set_alpha(&mut self, from: Tti, alpha: f64) {
         self.gap_distribution = Geometric::new(alpha);
         self.hazards.push((from, -libm::log1p(-alpha)));
@@ -90,7 +92,7 @@ impl SteadyStarts {
             if ttis_without_start < (end - k) as f64 {
                 return k.saturating_add(ttis_without_start as u64);
             }
-            // The draw outlasts this part, so only rounding can make the rest negative.
+            // The draw outlasts this part, so only rounding can make the difference negative.
             remaining_hazard = (remaining_hazard - hazard * (end - k) as f64).max(0.0);
             k = end;
         }

@@ -1,5 +1,7 @@
-//! A bucket grid that finds the points within a radius of a place, or nearest to it: for world, genie and beliefs. The
-//! order of results is fixed, and [`Buckets::nearest`] breaks ties by index: decisions must not differ between runs.
+//! A bucket grid that finds the points within a radius of a place, or nearest to it: for world, beliefs, policies and
+//! run tables. The order of results is fixed, and [`Buckets::nearest`] breaks ties by index: decisions and digests must
+//! not differ between runs. Sums over the results depend on the order of visits, so a change of the cells can
+//! change digests.
 
 use super::{Area, Point};
 
@@ -11,7 +13,7 @@ pub struct Buckets {
     rows: usize,
     /// Cells per metre east and north.
     cells_per_metre: Point,
-    /// Added to every query's reach, metres, so that rounding at a cell's border cannot hide a point.
+    /// Added to every query's radius, metres, so that rounding at a cell's border cannot hide a point.
     slack: f64,
     /// The points of cell c are `points[cell_starts[c] .. cell_starts[c + 1]]`.
     cell_starts: Vec<u32>,
@@ -61,7 +63,7 @@ impl Buckets {
     }
 
     /// The `k` points nearest to `centre`, or all if there are fewer, by ascending distance and then index. Each has
-    /// its squared distance, square metres, and its index.
+    /// its squared distance, square metres, and its index: in the other order than in [`Self::within`].
     pub fn nearest(&self, centre: Point, k: usize) -> Vec<(f64, u32)> {
         let mut nearby = Vec::new();
         // One cell wide. Doubling ends, since a radius as large as the area finds all points.
@@ -81,14 +83,17 @@ impl Buckets {
 
     /// Calls `visit(index, squared distance)` for each point at most `radius` metres from `centre`.
     fn within_squared(&self, centre: Point, radius: f64, mut visit: impl FnMut(u32, f64)) {
-        let reach = radius * (1.0 + 1e-12) + self.slack;
+        let padded_radius = radius * (1.0 + 1e-12) + self.slack;
         // A square above this is too far despite rounding, and skips the root.
-        let max_squared = reach * reach * (1.0 + 1e-12);
-        let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
-        let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
-        for row in south..=north {
-            let start = self.cell_starts[row * self.columns + west] as usize;
-            let end = self.cell_starts[row * self.columns + east + 1] as usize;
+        let max_squared = padded_radius * padded_radius * (1.0 + 1e-12);
+        let (west_column, east_column) = (
+            self.column(centre.x - padded_radius),
+            self.column(centre.x + padded_radius),
+        );
+        let (south_row, north_row) = (self.row(centre.y - padded_radius), self.row(centre.y + padded_radius));
+        for row in south_row..=north_row {
+            let start = self.cell_starts[row * self.columns + west_column] as usize;
+            let end = self.cell_starts[row * self.columns + east_column + 1] as usize;
             for &(index, p) in &self.points[start..end] {
                 let squared = centre.distance_squared(p);
                 // Squaring rounds, so a point exactly at the radius is decided by the root, as in `Point::distance`.
@@ -103,7 +108,8 @@ impl Buckets {
         self.row(p.y) * self.columns + self.column(p.x)
     }
 
-    /// The conversion saturates, so positions west of the area belong to its first column.
+    /// The column of the cells at `x`. The conversion saturates, so positions west of the area belong to its first
+    /// column.
     fn column(&self, x: f64) -> usize {
         ((x * self.cells_per_metre.x) as usize).min(self.columns - 1)
     }

@@ -1,4 +1,5 @@
-//! Positions and classes of devices from a layout file. The scenario hash covers the values that are used.
+//! Positions and classes of devices from a layout file, for `layout.rs`. The scenario hash covers the values that are
+//! used. The help of `layout.file` repeats the names of the columns `x`, `y` and `class`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +15,7 @@ const FILE_FIELD: &str = "layout.file";
 pub struct FileLayout {
     /// The path of the file.
     pub path: PathBuf,
-    /// Its first N points.
+    /// Its first N points, N devices in the scenario.
     pub points: Arc<Vec<Point>>,
     /// The classes of the first N devices as indices into the scenario's classes, if the file has the column `class`.
     pub classes: Option<Arc<Vec<u16>>>,
@@ -30,9 +31,9 @@ impl FileLayout {
         devices: u32,
         class_names: &[&str],
     ) -> Result<Self, ScenarioError> {
-        let path = reader.file(FILE_FIELD, file)?;
+        let path = reader.absolute_path(FILE_FIELD, file)?;
         let count = devices as usize;
-        let columns = reader
+        let points_and_classes = reader
             .read_bytes(&path, MAX_FILE_BYTES)
             .map_err(|error| error.to_string())
             .and_then(|bytes| {
@@ -41,13 +42,13 @@ impl FileLayout {
                     columns::read_texts(&path, &bytes, "class")?,
                 ))
             });
-        let ((points, rows), class_column) = match columns {
-            Ok(columns) => columns,
+        let ((points, points_in_file), class_column) = match points_and_classes {
+            Ok(values) => values,
             Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
         };
-        if rows > count {
+        if points_in_file > count {
             reader.warn(format!(
-                "{} has {rows} positions; the first {count} are used",
+                "{} has {points_in_file} positions; the first {count} are used",
                 path.display()
             ));
         }
@@ -93,8 +94,8 @@ impl FileLayout {
 
 /// Reads the first `count` points of a layout file, all within `area`, and the number of points in the file.
 fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
-    let columns = columns::read_numbers(path, bytes, &["x".to_owned(), "y".to_owned()], 0..usize::MAX)?;
-    let [xs, ys] = columns.values.as_slice() else {
+    let coordinates = columns::read_numbers(path, bytes, &["x".to_owned(), "y".to_owned()], 0..usize::MAX)?;
+    let [xs, ys] = coordinates.values.as_slice() else {
         return Err("has no columns `x` and `y`".to_owned());
     };
     if xs.len() < count {
@@ -111,7 +112,7 @@ fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(V
         None => Ok((points, xs.len())),
         Some(row) => Err(format!(
             "{}: the point ({}, {}) lies outside the area of {} by {} metres",
-            columns.describe_row(row),
+            coordinates.describe_row(row),
             points[row].x,
             points[row].y,
             area.width,

@@ -1,4 +1,6 @@
-//! Layouts: where the devices of a scenario are. Every digest depends on the positions, bit for bit.
+//! Layouts: the positions of the devices of a scenario. Every digest depends on the positions, bit for bit, and so on
+//! the order of draws. Words are part of the scenario hash; doc comments of words and fields appear in
+//! `docs/scenario.md`.
 
 use super::{Area, FileLayout, Point};
 use crate::declare;
@@ -127,7 +129,8 @@ const MISSES_BEFORE_SHRINK: u32 = 500;
 /// The factor by which the radius of the disks shrinks.
 const SHRINK_FACTOR: f64 = 0.98;
 
-/// The positions of `n` devices in `area`, the same for the same `seed`. A `File` gives its own positions, at most `n`.
+/// The positions of `n` devices in `area`, the same for the same `seed`. A `File` has fixed positions, of which the
+/// first `n` apply; loading a scenario rules out fewer.
 pub fn place_devices(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
     let mut stream = Stream::new(seed, Purpose::Layout, 0);
     match layout {
@@ -191,7 +194,7 @@ fn place_in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> 
     points
 }
 
-/// Throws darts until `n` have landed farther than a radius from all earlier ones. The radius starts near the one of
+/// Throws darts until `n` have landed farther than a radius from all earlier darts. The radius starts near the one of
 /// the densest packing, which random darts cannot reach, and shrinks while they keep missing.
 fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
     // The spacing of the densest packing, a hexagonal lattice: A/n = √3/2 · spacing².
@@ -366,7 +369,7 @@ mod tests {
 
     #[test]
     fn the_cell_of_a_jittered_grid_is_uniformly_random() {
-        // The cell of the first of 10 devices, of 16 cells.
+        // The cell of the first of 10 devices, of 16 cells, with 500 expected in each.
         let mut counts = [0_u32; 16];
         for seed in 0..8000 {
             let p = place_devices(&Layout::JitteredGrid, SQUARE, 10, seed)[0];
@@ -381,7 +384,7 @@ mod tests {
     #[test]
     fn poisson_disks_keep_their_distance() {
         for (area, n) in [(SQUARE, 10), (SQUARE, 250), (WIDE, 100), (SQUARE, 2000)] {
-            // The distance in the densest packing.
+            // The distance in the densest packing. Random disks jam at about 0.78 of it.
             let hexagonal_pitch = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
             let smallest = smallest_distance(&place_devices(&Layout::PoissonDisk, area, n, 8));
             assert!(
@@ -393,6 +396,7 @@ mod tests {
             width: 1e6,
             height: 1e-6,
         };
+        // Half of the spacing of 100 devices in a line; random darts jam at 0.75 of it.
         assert!(smallest_distance(&place_devices(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
     }
 

@@ -1,5 +1,6 @@
 //! The area, the positions of devices in it, and the bounded Voronoi diagram. Digests depend on distances bit for bit.
-//! [`Point`] is also part of messages: a change of its fields raises `WIRE_VERSION`.
+//! [`Point`] is also part of messages: a change of its fields raises `WIRE_VERSION`. Doc comments of the fields of
+//! [`Area`] appear in `docs/scenario.md`.
 
 mod buckets;
 mod file;
@@ -17,7 +18,7 @@ pub use layout::{Layout, LayoutKind, place_devices};
 pub use reach::share_out_of_reach;
 pub use voronoi::{farthest_cell_vertex, voronoi_cells};
 
-/// A point of the area, in metres from its south-west corner.
+/// A point, usually of the area, in metres from its south-west corner. Nothing checks that it lies in the area.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     /// Metres east, `0 ..= width`.

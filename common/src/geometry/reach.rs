@@ -6,8 +6,8 @@ use super::{Area, Point};
 
 /// The share of `area` that is farther than `radius` metres from each of `points`, `[0, 1]`; 1 without points.
 ///
-/// A place is out of reach if it is out of reach of its closest device, so each Voronoi cell contributes its surface
-/// without the disc around its device. The result is exact except for rounding.
+/// `points` are devices in `area`. A place is out of reach if it is out of reach of its closest device, so each Voronoi
+/// cell contributes its surface without the disc around its device. The result is exact except for rounding.
 pub fn share_out_of_reach(points: &[Point], area: Area, radius: f64) -> f64 {
     let sites = sorted_distinct_sites(points);
     if sites.is_empty() {
@@ -35,10 +35,10 @@ fn surface_outside_disc(centre: Point, cell: &[Point], radius: f64) -> f64 {
 
 /// The surface that the triangle of the origin, `from` and `to` shares with the disc of `radius` around the origin.
 fn triangle_in_disc(from: Point, to: Point, radius: f64) -> f64 {
-    let along = Point::new(to.x - from.x, to.y - from.y);
+    let direction = Point::new(to.x - from.x, to.y - from.y);
     let sector = |a: Point, b: Point| 0.5 * radius * radius * libm::atan2(cross(a, b), dot(a, b));
-    // The edge is `from + t · along`; it crosses the circle at the roots of a quadratic equation in t.
-    let (square, half_linear) = (dot(along, along), dot(from, along));
+    // The edge is `from + t · direction`; it crosses the circle at the roots of a quadratic equation in t.
+    let (square, half_linear) = (dot(direction, direction), dot(from, direction));
     let discriminant = half_linear * half_linear - square * (dot(from, from) - radius * radius);
     if square == 0.0 || discriminant <= 0.0 {
         return sector(from, to);
@@ -48,8 +48,8 @@ fn triangle_in_disc(from: Point, to: Point, radius: f64) -> f64 {
     if leaves <= 0.0 || enters >= 1.0 {
         return sector(from, to);
     }
-    let at = |t: f64| Point::new(from.x + t * along.x, from.y + t * along.y);
-    let (inner_start, inner_end) = (at(enters.max(0.0)), at(leaves.min(1.0)));
+    let point_at = |t: f64| Point::new(from.x + t * direction.x, from.y + t * direction.y);
+    let (inner_start, inner_end) = (point_at(enters.max(0.0)), point_at(leaves.min(1.0)));
     sector(from, inner_start) + 0.5 * cross(inner_start, inner_end) + sector(inner_end, to)
 }
 

@@ -1,5 +1,8 @@
 //! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`), the share of the area within
-//! reach, figures and the dashboard. I_min follows from the bound, so decisions and digests depend on it bit for bit.
+//! reach, figures and the dashboard. I_min follows from the bound, so decisions and digests depend on it bit for bit,
+//! and on the edges that `delaunator` chooses among equally valid ones. Points must lie in the area.
+
+use std::cmp::Ordering;
 
 use super::{Area, Point};
 
@@ -25,15 +28,15 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
 pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
     let sites = sorted_distinct_sites(points);
     let mut cell_of_site = vec![Vec::new(); sites.len()];
-    let by_coordinates = |a: Point, b: Point| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y));
-    let find = |p: Point| sites.binary_search_by(|site| by_coordinates(*site, p));
+    let find_site = |p: Point| sites.binary_search_by(|site| compare_coordinates(site, &p));
     visit_cells(&sites, area, |site, cell| {
-        if let Ok(i) = find(site) {
+        if let Ok(i) = find_site(site) {
             cell_of_site[i] = cell.to_vec();
         }
     });
-    let cell = |p: &Point| find(Point::new(p.x + 0.0, p.y + 0.0)).map(|i| cell_of_site[i].clone());
-    points.iter().map(|p| cell(p).unwrap_or_default()).collect()
+    // Adding zero as in `sorted_distinct_sites`.
+    let cell_of_point = |p: &Point| find_site(Point::new(p.x + 0.0, p.y + 0.0)).map(|i| cell_of_site[i].clone());
+    points.iter().map(|p| cell_of_point(p).unwrap_or_default()).collect()
 }
 
 /// Calls `visit` for each of `sites`, in order, with the corners of its cell. `sites` must come from
@@ -66,9 +69,14 @@ pub(super) fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Poi
 pub(super) fn sorted_distinct_sites(points: &[Point]) -> Vec<Point> {
     // Adding zero turns -0 into 0, which `total_cmp` would tell apart.
     let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
-    sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    sites.sort_by(compare_coordinates);
     sites.dedup();
     sites
+}
+
+/// The order of sites: by x, then by y.
+fn compare_coordinates(a: &Point, b: &Point) -> Ordering {
+    a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y))
 }
 
 /// The edges of the Delaunay triangulation in both directions, sorted. They include every pair of sites that share a
@@ -250,6 +258,7 @@ mod tests {
                 let closest = points.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
                 farthest = farthest.max(closest);
             }
+            // Of 20 000 random places, some lie close to the farthest vertex: the bound is not too large.
             assert!(
                 farthest <= bound && farthest > 0.93 * bound,
                 "seed {seed}: a place at {farthest} m, the farthest vertex at {bound} m"

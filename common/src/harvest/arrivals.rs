@@ -1,5 +1,6 @@
 //! The sources `eq5` and `exp-minus-lambda`: an arrival of E_B in each TTI with the same probability, independently.
-//! Digests depend on the draws, one gap per arrival. [`ArrivalsSetup`] is part of the wire format.
+//! Digests depend on the draws, one gap per arrival. [`ArrivalsSetup`] is part of the wire format. Doc comments of
+//! fields appear in `docs/scenario.md`.
 
 use std::sync::Arc;
 
@@ -57,6 +58,7 @@ pub struct ArrivalsSetup {
 }
 
 impl ArrivalsSetup {
+    /// Whether a setup from the wire is valid.
     pub(super) fn is_valid(&self) -> bool {
         (0.0..=1.0).contains(&self.p)
     }
@@ -86,6 +88,7 @@ impl ArrivalsSetup {
     }
 }
 
+/// The state of the source on a device.
 #[derive(Clone, Debug)]
 pub(super) struct ArrivalsSource {
     gaps: Arc<GapTable>,
@@ -94,7 +97,7 @@ pub(super) struct ArrivalsSource {
 }
 
 impl ArrivalsSource {
-    /// Returns the arrival in `now` and the TTI of the next one.
+    /// Returns the arrival in `now`, the TTI of the next arrival from the last call, and the TTI of the one after it.
     #[inline]
     pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
         (self.e_b, now.saturating_add(self.gaps.draw(&mut self.stream)))

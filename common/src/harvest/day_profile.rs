@@ -1,5 +1,5 @@
-//! The expected energy of a source that depends on the time of day. The base station estimates batteries from it, so
-//! decisions and digests depend on its rounding.
+//! The expected energy of a source that depends on the time of day, the source `diurnal`. The base station estimates
+//! batteries from it (`bs/src/battery_estimator/`), so decisions and digests depend on its rounding.
 
 use crate::ids::Tti;
 use crate::units::Energy;
@@ -14,18 +14,18 @@ pub struct DayProfile {
 }
 
 impl DayProfile {
-    /// Creates the profile of a source with arrivals of `e_b`; `day` has the probability of an arrival in each TTI of a
-    /// day. A day has at least one TTI.
-    pub fn new(day: impl Iterator<Item = f64>, e_b: Energy) -> Self {
+    /// Creates the profile of a source with arrivals of `e_b`; `day_probabilities` are the probabilities of an arrival
+    /// in each TTI of a day, at least one. TTI 0 of a run is the first of them.
+    pub fn new(day_probabilities: impl Iterator<Item = f64>, e_b: Energy) -> Self {
         let (mut sum, mut cumulative_micro, mut is_lit) = (0.0, vec![0], Vec::new());
-        for p in day {
+        for p in day_probabilities {
             sum += p;
             // The running sum is rounded, not each TTI, so that errors do not add up over the day.
             cumulative_micro.push((sum * e_b.micro() as f64).round() as u64);
             is_lit.push(p > 0.0);
         }
-        let n = is_lit.len();
-        let switches = (0..n).filter(|&tti| is_lit[tti] != is_lit[(tti + n - 1) % n]);
+        let ttis_per_day = is_lit.len();
+        let switches = (0..ttis_per_day).filter(|&tti| is_lit[tti] != is_lit[(tti + ttis_per_day - 1) % ttis_per_day]);
         Self {
             cumulative_micro,
             switches: switches.map(|tti| tti as u64).collect(),
@@ -45,8 +45,8 @@ impl DayProfile {
     /// The first TTI after `now` at which day or night begins; [`Tti::NEVER`] if that never happens.
     pub fn next_switch_after(&self, now: Tti) -> Tti {
         let (day, slot) = (now.0 / self.ttis_per_day(), now.0 % self.ttis_per_day());
-        let today = self.switches.iter().find(|&&switch| switch > slot);
-        let next = today
+        let later_today = self.switches.iter().find(|&&switch| switch > slot);
+        let next = later_today
             .copied()
             .or_else(|| Some(self.switches.first()? + self.ttis_per_day()));
         next.map_or(Tti::NEVER, |switch| {

@@ -2,10 +2,11 @@
 //!
 //! A source is a sequence of arrivals by ascending TTI. It depends only on the scenario, the seed and the device.
 //! Digests depend on the order of draws. [`Harvest`] is the declared source of a class, [`HarvestSetup`] its form in
-//! the wire format, [`HarvestSource`] the arrivals that a device draws.
+//! the wire format (`WIRE_VERSION`), [`HarvestSource`] the arrivals that a device draws.
 //!
 //! Each kind of source has a file with its fields, its wire format and its draws; this module has an arm for each.
-//! `tests/src/reference/harvest.rs` draws the same arrivals TTI by TTI, so change both.
+//! `tests/src/reference/harvest.rs` draws the same arrivals TTI by TTI, so change both. A test compares the words and
+//! doc comments of choices and fields with `docs/scenario.md`, here and in the other files.
 
 mod arrivals;
 mod day_profile;
@@ -155,7 +156,7 @@ impl Harvest {
         }
     }
 
-    /// The index in [`Self::trace_columns`] for the `nth` device of a class; 0 if it reads none.
+    /// The index in [`Self::trace_columns`] for the `nth` device of a class, counted from 0; 0 if it reads none.
     pub(crate) fn column_index(&self, nth: u32) -> u32 {
         match self {
             Self::Trace(trace) => trace.column_index(nth),
@@ -232,8 +233,8 @@ impl HarvestSetup {
         }
     }
 
-    /// The expected harvest per TTI over the first `ttis` TTIs of a run, ≥ 1, in units; exact for a trace. `traces` are
-    /// the run's, energy per TTI by row.
+    /// The expected harvest per TTI, in units, over the first `ttis` (≥ 1) TTIs of a run; exact for a trace. `traces`
+    /// are the run's, energy per TTI by row.
     pub fn mean_over_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> f64 {
         let micro_per_tti = match self {
             Self::Arrivals(arrivals) => arrivals.expected_micro(),
@@ -255,7 +256,7 @@ impl HarvestSetup {
     }
 
     /// Whether the setup is valid for a device: its arrivals have probabilities within 0 and 1, and a trace is among
-    /// the run's `traces`.
+    /// the run's `traces` and has rows. [`HarvestSource::new`] relies on it.
     pub fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         match self {
             Self::Arrivals(arrivals) => arrivals.is_valid(),
@@ -303,8 +304,8 @@ impl SharedSourceData {
         let mut shared = Self::with_traces(traces);
         for setup in setups {
             match setup {
-                HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => shared.add_gaps(*p),
-                HarvestSetup::Diurnal(diurnal) => shared.add_hazards(&diurnal.sun, diurnal.zenith_probability),
+                HarvestSetup::Arrivals(ArrivalsSetup { p, .. }) => shared.add_gap_table(*p),
+                HarvestSetup::Diurnal(diurnal) => shared.add_day_hazards(&diurnal.sun, diurnal.zenith_probability),
                 HarvestSetup::OnOff(_) | HarvestSetup::Trace(_) => {}
             }
         }
@@ -331,7 +332,7 @@ impl HarvestSource {
     /// Creates the source of `device`.
     ///
     /// # Panics
-    /// If `setup` names a trace that `shared` does not have.
+    /// If `setup` is not [valid](HarvestSetup::is_valid) with the traces of `shared`.
     pub fn new(setup: &HarvestSetup, shared: &SharedSourceData, seed: u64, device: DeviceId) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, u64::from(device.0));
         let (source, next) = match setup {
@@ -436,10 +437,10 @@ mod tests {
             ),
         ];
         for (harvest, expected) in cases {
-            let (mean, error) = measure_rate(&harvest);
+            let (mean, standard_error) = measure_rate(&harvest);
             assert!(
-                (mean - expected).abs() < 3.0 * error,
-                "{harvest:?}: {mean} ± {error}, not {expected}"
+                (mean - expected).abs() < 3.0 * standard_error,
+                "{harvest:?}: {mean} ± {standard_error}, not {expected}"
             );
         }
     }

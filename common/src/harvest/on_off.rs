@@ -2,12 +2,13 @@
 //! and τ are given. It is sampled once per TTI and delivers E_B in each TTI at whose beginning it is on.
 //!
 //! Digests depend on the order of draws: whether it starts on, then the periods in turn;
-//! `tests/src/reference/harvest.rs` repeats it. The order of fields in `visit` is part of the scenario hash.
-//! [`OnOffSetup`] goes to hosts in the wire format (`WIRE_VERSION`); no file stores it.
+//! `tests/src/reference/harvest.rs` repeats it. The order of fields in `visit` is part of the scenario hash, the help
+//! texts are part of `docs/scenario.md`. [`OnOffSetup`] goes to hosts in the wire format (`WIRE_VERSION`); no file
+//! stores it.
 
 use serde::{Deserialize, Serialize};
 
-use super::arrivals::Arrivals;
+use super::arrivals::{Arrivals, eq5_probability};
 use super::shared_tables::expected_energy;
 use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, number};
 use crate::ids::Tti;
@@ -77,8 +78,8 @@ impl OnOff {
         let decay = -libm::expm1(-(leave_on + leave_off) * tau);
         OnOffSetup {
             on_share,
-            p_off: (1.0 - on_share) * decay,
-            p_on: on_share * decay,
+            turn_off_probability: (1.0 - on_share) * decay,
+            turn_on_probability: on_share * decay,
             e_b: self.e_b,
         }
     }
@@ -86,7 +87,7 @@ impl OnOff {
 
 /// The mean off-duration of a source with mean on-duration 1/λ that is on for the share λτ·exp(-λτ) of the time.
 fn default_off_mean(reader: &FieldReader<'_>, lambda: f64, tau: f64) -> Result<f64, ScenarioError> {
-    let on_share = lambda * tau * libm::exp(-lambda * tau);
+    let on_share = eq5_probability(lambda, tau);
     // The share is at most 1/e. For a very large λ it underflows to 0; the result is then infinite, which is rejected
     // below.
     let off_mean = (1.0 - on_share) / (lambda * on_share);
@@ -103,9 +104,11 @@ pub struct OnOffSetup {
     /// Probability that it is on in TTI 0, `[0, 1]`.
     pub on_share: f64,
     /// Probability that it is off one TTI after it was on, `[0, 1]`.
-    pub p_off: f64,
+    #[serde(rename = "p_off")]
+    pub turn_off_probability: f64,
     /// Probability that it is on one TTI after it was off, `[0, 1]`.
-    pub p_on: f64,
+    #[serde(rename = "p_on")]
+    pub turn_on_probability: f64,
     /// Energy E_B of an arrival.
     pub e_b: Energy,
 }
@@ -113,9 +116,13 @@ pub struct OnOffSetup {
 impl OnOffSetup {
     pub(super) fn is_valid(&self) -> bool {
         let Self {
-            on_share, p_off, p_on, ..
+            on_share,
+            turn_off_probability,
+            turn_on_probability,
+            e_b: _,
         } = *self;
-        [on_share, p_off, p_on].iter().all(|p| (0.0..=1.0).contains(p))
+        let probabilities = [on_share, turn_off_probability, turn_on_probability];
+        probabilities.iter().all(|p| (0.0..=1.0).contains(p))
     }
 
     /// The mean harvest per TTI.
@@ -131,7 +138,8 @@ impl OnOffSetup {
 
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, mut stream: Stream) -> (OnOffSource, Tti) {
-        let (on_duration, off_duration) = (Geometric::new(self.p_off), Geometric::new(self.p_on));
+        let on_duration = Geometric::new(self.turn_off_probability);
+        let off_duration = Geometric::new(self.turn_on_probability);
         let is_on = stream.unit() < self.on_share;
         let next = if is_on {
             Tti::ZERO
@@ -153,9 +161,9 @@ impl OnOffSetup {
 
 #[derive(Clone, Debug)]
 pub(super) struct OnOffSource {
-    /// The length of an on-period in TTIs.
+    /// The distribution of the length of an on-period in TTIs.
     on_duration: Geometric,
-    /// The length of an off-period in TTIs.
+    /// The distribution of the length of an off-period in TTIs.
     off_duration: Geometric,
     /// The last TTI of the current on-period.
     last_on: Tti,

@@ -2,8 +2,9 @@
 //!
 //! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Irradiance is linear between two
 //! rows of a record, and a TTI brings its integral. Rounding errors are carried over between TTIs, so that the
-//! micro-units of a record add up to its energy. `harvest/trace/mod.rs` applies it; the scenario hash covers the
-//! result.
+//! micro-units of a record add up to its energy. `harvest/trace/mod.rs` applies it. The scenario hash and digests
+//! depend on the result, which the reference in `tests/src/` does not check. A test compares the help of the fields
+//! with `docs/scenario.md`.
 
 use crate::declare::{FieldSink, Range, Section, Visit, number};
 use crate::digits::format_significant;
@@ -40,20 +41,21 @@ impl Panel {
         1000.0 * square_metres * self.efficiency / self.unit_mj
     }
 
-    /// Energy per TTI of the rows `irradiance`, W/m², at least one row, each at least 0; row i is the value at time
-    /// i·`row_seconds`. After the last row the first one follows; with `stops` the last value holds for one more row.
-    /// If the rows cover more than 10⁷ TTIs, the result ends after `needed_ttis` TTIs.
+    /// Energy per TTI of the rows `irradiance`, W/m²; row i is the value at time i·`row_seconds`. The caller has
+    /// checked that there is a row, and that none is negative. After the last row the first one follows; with `stops`
+    /// the last value holds for one more row. If the rows cover more than [`MAX_TTIS_PER_COLUMN`] TTIs, the result ends
+    /// after `needed_ttis` TTIs.
     ///
     /// # Errors
     /// If the rows are not a whole number of TTIs, too many TTIs are needed, or the energy in a TTI exceeds the limit.
     pub(super) fn energies(&self, irradiance: &[f64], stops: bool, needed_ttis: u64) -> Result<Vec<Energy>, String> {
-        let (rows, row_seconds) = (irradiance.len() as f64, self.row_seconds);
-        let ttis = rows * row_seconds / self.tti_seconds;
+        let (row_count, row_seconds) = (irradiance.len() as f64, self.row_seconds);
+        let ttis = row_count * row_seconds / self.tti_seconds;
         let tti_count = ttis.round();
         // Relative, since the rounding of the quotient grows with it.
         if tti_count < 1.0 || (ttis - tti_count).abs() > ROUNDING_TOLERANCE * tti_count.max(1.0) {
             return Err(format!(
-                "its {rows} rows of {row_seconds} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
+                "its {row_count} rows of {row_seconds} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
                  change harvest.trace.panel.tti_seconds or row_seconds, or the number of rows",
                 self.tti_seconds
             ));
@@ -65,28 +67,28 @@ impl Panel {
         };
         if converted_ttis > MAX_TTIS_PER_COLUMN {
             return Err(format!(
-                "the run needs {converted_ttis} TTIs of its {rows} rows, and the limit is {MAX_TTIS_PER_COLUMN}; set a \
-                 longer harvest.trace.panel.tti_seconds, or fewer ttis"
+                "the run needs {converted_ttis} TTIs of its {row_count} rows, and the limit is {MAX_TTIS_PER_COLUMN}; \
+                 set a longer harvest.trace.panel.tti_seconds, or fewer ttis"
             ));
         }
         let after_last = if stops { irradiance.last() } else { irradiance.first() };
         let after_last = after_last.copied().unwrap_or(0.0);
-        let value = |i: usize| irradiance.get(i).copied().unwrap_or(after_last);
-        // The integral up to row i, W/m² times rows.
+        let irradiance_at = |row: usize| irradiance.get(row).copied().unwrap_or(after_last);
+        // The integral up to each row, W/m² times rows.
         let mut integrals = Vec::with_capacity(irradiance.len() + 1);
         let mut integral = 0.0;
-        for i in 0..=irradiance.len() {
+        for row in 0..=irradiance.len() {
             integrals.push(integral);
-            integral += 0.5 * (value(i) + value(i + 1));
+            integral += 0.5 * (irradiance_at(row) + irradiance_at(row + 1));
         }
         // Micro-units for 1 W/m² over the time between two rows.
         let micro_per_row = self.units_per_second() * row_seconds * MICRO_PER_UNIT as f64;
         let micro_until = |tti: u64| {
             // Rounding must not move the last position beyond the last row's end.
-            let row_position = (tti as f64 / tti_count * rows).min(rows);
-            let (i, part) = (row_position as usize, row_position.fract());
-            let slope = value(i + 1) - value(i);
-            micro_per_row * (integrals[i] + part * (value(i) + 0.5 * part * slope))
+            let row_position = (tti as f64 / tti_count * row_count).min(row_count);
+            let (row, part) = (row_position as usize, row_position.fract());
+            let slope = irradiance_at(row + 1) - irradiance_at(row);
+            micro_per_row * (integrals[row] + part * (irradiance_at(row) + 0.5 * part * slope))
         };
         let (mut energies, mut previous_sum) = (Vec::with_capacity(converted_ttis as usize), 0_u64);
         for tti in 0..converted_ttis as u64 {
@@ -176,7 +178,7 @@ mod tests {
         }
     }
 
-    /// The reference is the midpoint rule; the total must be exact to the micro-unit.
+    /// The expected values come from the midpoint rule. The total must be exact to the micro-unit.
     #[test]
     fn energies_equal_the_integral_and_rounding_loses_nothing() {
         let rows: Vec<f64> = (0..48).map(|i| f64::from((i * 37) % 11) * 1.7e-6).collect();

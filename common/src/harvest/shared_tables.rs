@@ -1,5 +1,6 @@
 //! Tables that the sources of a run share, so that a million devices do not each hold a copy. A table changes only the
-//! speed: a source draws the same arrivals with and without it.
+//! speed: a source draws the same arrivals with and without it. Digests depend on the arithmetic of the hazards, by
+//! which a diurnal source draws; `tests/src/reference/harvest.rs` finds the same arrivals TTI by TTI.
 
 use std::sync::Arc;
 
@@ -8,7 +9,8 @@ use crate::ids::Tti;
 use crate::rng::{GapTable, Geometric};
 use crate::units::Energy;
 
-/// The mean of `e_b` with probability `p`, to the nearest micro-unit.
+/// The mean of `e_b` with probability `p`, to the nearest micro-unit: the rounding that the sources have in common,
+/// repeated in `tests/src/reference/harvest.rs`.
 pub(super) fn expected_energy(p: f64, e_b: Energy) -> Energy {
     Energy::from_micro((p * e_b.micro() as f64).round() as u64)
 }
@@ -48,9 +50,9 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds the missing table of the gaps between arrivals of probability `p`.
-    pub(super) fn add_gaps(&mut self, p: f64) {
-        // Shared by all devices with this probability, since a table costs 4096 logarithms.
+    /// Adds the table of the gaps between arrivals of probability `p`, unless it exists.
+    pub(super) fn add_gap_table(&mut self, p: f64) {
+        // Shared by all devices with this probability, since a table costs thousands of logarithms.
         if self.find_gap_table(p).is_none() {
             self.gap_tables.push(SharedGapTable {
                 arrival_probability: p,
@@ -59,8 +61,9 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds the hazards of a day under `sun`, where `zenith_probability` is the one for an irradiance of 1.
-    pub(super) fn add_hazards(&mut self, sun: &Sun, zenith_probability: f64) {
+    /// Adds the hazards of a day under `sun`, unless they exist; `zenith_probability` is the probability for an
+    /// irradiance of 1.
+    pub(super) fn add_day_hazards(&mut self, sun: &Sun, zenith_probability: f64) {
         if self.find_hazards(sun, zenith_probability).is_none() {
             self.day_hazards.push(SharedDayHazards {
                 sun: *sun,
@@ -106,7 +109,8 @@ pub(super) struct CumulativeHazard {
 }
 
 impl CumulativeHazard {
-    /// Creates the hazards of a `day` of TTIs with these arrival probabilities, each below 1.
+    /// Creates the hazards of a `day` of TTIs with these arrival probabilities, each below 1: loading a scenario and
+    /// [`DiurnalSetup::is_valid`](super::DiurnalSetup) ensure it.
     pub(super) fn new(day: impl Iterator<Item = f64>) -> Self {
         let mut sum = 0.0;
         let ends = day.map(|p| {

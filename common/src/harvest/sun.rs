@@ -1,7 +1,9 @@
 //! The sun's position over a place, and its irradiance, for the harvest source `diurnal`.
 //!
 //! All transcendental functions come from `libm`, and the order of operations is fixed, so that digests agree on all
-//! platforms. [`Sun`] and [`Sky`] are part of the wire format.
+//! platforms. `tests/src/reference/harvest.rs` repeats the model and its constants; `docs/energy.md` states them.
+//! [`Sun`] and [`Sky`] are part of the wire format (`WIRE_VERSION`), the words and help of [`Sky`] of
+//! `docs/scenario.md`.
 //!
 //! The formulas follow J. A. Duffie and W. A. Beckman, *Solar Engineering of Thermal Processes*, Sec. 1.6: the
 //! declination of P. I. Cooper (1969), Eq. (1.6.1a), the hour angle of solar time, the elevation by Eq. (1.6.5), and

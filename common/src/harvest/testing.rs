@@ -7,8 +7,8 @@ use crate::deployment::Deployment;
 use crate::ids::Tti;
 use crate::scenario::testing::TestScenario;
 
-/// Draws the harvest of every device of the run, units per TTI.
-pub(crate) fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
+/// Draws the harvest of every device of the run, and returns its mean in units per TTI.
+pub(crate) fn draw_mean_harvests(scenario: &TestScenario) -> Vec<f64> {
     let deployment = Deployment::new(scenario);
     let shared = SharedSourceData::new(deployment.devices.iter().map(|d| &d.harvest), deployment.traces);
     let drawn = deployment.devices.iter().map(|device| {
@@ -23,7 +23,7 @@ pub(crate) fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
 }
 
 /// Returns the TTIs of the run in which each device harvests energy.
-pub(crate) fn arrivals(scenario: &TestScenario) -> Vec<BTreeSet<Tti>> {
+pub(crate) fn arrival_ttis(scenario: &TestScenario) -> Vec<BTreeSet<Tti>> {
     let deployment = Deployment::new(scenario);
     let shared = SharedSourceData::new(deployment.devices.iter().map(|d| &d.harvest), deployment.traces);
     let of_device = deployment.devices.iter().map(|device| {
@@ -39,7 +39,8 @@ pub(crate) fn arrivals(scenario: &TestScenario) -> Vec<BTreeSet<Tti>> {
 }
 
 /// Writes a trace of three columns to a temporary file for `name`, and returns the fields that read it. `end` is the
-/// value of `harvest.trace.end`.
+/// value of `harvest.trace.end`. Tests run at the same time, so each needs other names. `trace/tests.rs` repeats the
+/// values and the TTIs per row.
 pub(crate) fn trace_fields(name: &str, end: &str) -> Vec<String> {
     let path = std::env::temp_dir().join(format!("reveille-trace-{name}-{}.csv", std::process::id()));
     std::fs::write(&path, "a,b,c\n1,0,7\n2,0,0\n0,0,3\n").expect("a file");

@@ -1,7 +1,9 @@
 //! Actions of an operator on a run: devices fail, are revived or receive energy, and settings change. An action is an
 //! external input of the run and an entry of the input log. Base stations send it to hosts ([`ClockMessage`]), and
-//! observers receive a copy. Fields and variants are encoded by position: a change raises `WIRE_VERSION`. A new variant
-//! also needs a form in the input log (`lab/src/external_inputs/mod.rs`) and in the digest (`score/digest.rs`).
+//! observers receive a copy. Fields and variants are encoded by position: a change raises `WIRE_VERSION`. Their names
+//! are part of recordings and JSON lines (`view/src/schemas.rs`). A new variant also needs a form in the input log
+//! (`lab/src/external_inputs/mod.rs`), in scripts (`lab/src/action_script/`) and in the digest (`score/digest.rs`), and
+//! a check in `bs/src/actions.rs`.
 //!
 //! [`ClockMessage`]: super::ClockMessage
 
@@ -23,7 +25,8 @@ pub struct DeviceRange {
 }
 
 impl DeviceRange {
-    /// All devices of a run, whatever their number: only in scripts and in requests of operators.
+    /// All devices of a run, whatever their number: only in scripts and in requests of operators, until
+    /// [`Change::with_all_resolved`].
     pub const ALL: Self = Self {
         first: DeviceId(0),
         count: u32::MAX,
@@ -34,10 +37,10 @@ impl DeviceRange {
         (self.first.0..self.first.0.saturating_add(self.count)).map(DeviceId)
     }
 
-    /// Whether it holds at least one device, all among the first `devices`.
-    pub fn is_valid(self, devices: u32) -> bool {
+    /// Whether it holds at least one device, all among the first `device_count`. [`Self::ALL`] is never valid.
+    pub fn is_valid(self, device_count: u32) -> bool {
         let end = self.first.0.checked_add(self.count);
-        self.count > 0 && end.is_some_and(|end| end <= devices)
+        self.count > 0 && end.is_some_and(|end| end <= device_count)
     }
 
     /// Whether `device` is one of the devices.
@@ -62,7 +65,7 @@ impl fmt::Display for DeviceRange {
     }
 }
 
-/// A setting that an operator can change during a run.
+/// A setting that an operator can change during a run. `bs/src/actions.rs` checks its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Setting {
     /// Probability α that an event starts in a TTI without an active event, `(0, 1]`. The base station keeps the α of
@@ -113,13 +116,13 @@ impl Change {
         }
     }
 
-    /// Returns the change with [`DeviceRange::ALL`] replaced by the `devices` of a run.
+    /// Returns the change with [`DeviceRange::ALL`] replaced by the `device_count` devices of a run.
     #[must_use]
-    pub fn within(self, devices: u32) -> Self {
+    pub fn with_all_resolved(self, device_count: u32) -> Self {
         if self.devices() == Some(DeviceRange::ALL) {
             self.with_devices(DeviceRange {
                 first: DeviceId(0),
-                count: devices,
+                count: device_count,
             })
         } else {
             self

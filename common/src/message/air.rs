@@ -1,5 +1,6 @@
 //! The air plane: δ plans, reports and wake-ups, as a deployment would send them over the radio. Metrics count their
-//! encoded bytes. Names of fields are part of recordings (`view/src/schemas.rs`), their order of `WIRE_VERSION`.
+//! encoded bytes, and the digest hashes their contents (`score/digest.rs`). Names of fields are part of recordings
+//! (`view/src/schemas.rs`), their order of `WIRE_VERSION`.
 
 use std::fmt;
 
@@ -34,19 +35,19 @@ impl Concerns for PlanUpdate {
 impl fmt::Display for PlanUpdate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { from, plan } = self;
-        let (entries, kind) = match plan {
+        let (entries, prefix) = match plan {
             // A plan of bits does not hold N. The spare bits of its last byte are 0 and add no device to the count.
             Plan::Bits { bits } => (bits.len() * 8, ""),
             Plan::Periodic(cycles) => (cycles.len(), "periodic, "),
         };
-        let on = || (0..entries as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
-        let count = on().count();
-        write!(f, "δ from TTI {from}: {kind}")?;
+        let sensing = || (0..entries as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
+        let count = sensing().count();
+        write!(f, "δ from TTI {from}: {prefix}")?;
         match plan {
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
             Plan::Periodic(_) => write!(f, "{count} of {entries} devices sense first")?,
         }
-        for (nth, device) in on().take(MAX_NAMED_DEVICES).enumerate() {
+        for (nth, device) in sensing().take(MAX_NAMED_DEVICES).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;
         }
         f.write_str(if count > MAX_NAMED_DEVICES { " …" } else { "" })
@@ -151,7 +152,8 @@ impl fmt::Display for WakeOutcome {
 }
 
 impl WakeOutcome {
-    /// Returns the outcome after the air has delivered or lost the device's report, if it sent one.
+    /// Returns the outcome after the air has delivered or lost the device's report, if it sent one. `air` must be of
+    /// the TTI in which the event was reported, also if the wake-up was sent in a later one.
     #[must_use]
     pub fn after_uplink(self, air: &AirLosses) -> Self {
         match self {

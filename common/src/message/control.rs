@@ -1,5 +1,7 @@
 //! The emulation plane between operators and the BS: commands to the virtual clock, and its status. Fields and variants
-//! are encoded by position: a change raises `WIRE_VERSION`. `tests/untrusted_clients/bus.py` repeats some bytes.
+//! are encoded by position: a change raises `WIRE_VERSION`. `tests/untrusted_clients/bus.py` repeats some bytes. Names
+//! of commands are part of recordings (`view/src/schemas.rs`), names of [`ClockStatus`] of the dashboard's page
+//! (`deploy/src/dashboard/page/`).
 
 use core::time::Duration;
 use std::fmt;
@@ -61,7 +63,8 @@ impl fmt::Display for ClockCommand {
     }
 }
 
-/// Emulation, BS → operator: the reply to a [`ClockCommand`].
+/// Emulation, BS → operator: the reply to a [`ClockCommand`]. `reveille clock` prints its text, which tests and
+/// `docs/running.md` quote.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockStatus {
     /// The next TTI to be granted.
@@ -70,8 +73,9 @@ pub struct ClockStatus {
     pub ttis: u64,
     /// Whether the clock is paused: no TTI is open, and none starts before a command.
     pub paused: bool,
-    /// The TTI before which the clock will stop.
-    pub until: Tti,
+    /// The TTI before which the clock will stop, at most K.
+    #[serde(rename = "until")]
+    pub stop_before: Tti,
     /// The speed at which TTIs follow each other.
     pub pace: Pace,
     /// Whether all devices have joined.
@@ -105,7 +109,7 @@ impl fmt::Display for ClockStatus {
             tti,
             ttis,
             paused,
-            until,
+            stop_before,
             pace,
             begun,
             devices: _,
@@ -120,8 +124,8 @@ impl fmt::Display for ClockStatus {
             (false, true) => write!(f, "running at TTI {tti} of {ttis}")?,
             (false, false) => write!(f, "waiting at TTI {tti} of {ttis}")?,
         }
-        if !paused && until.0 < *ttis {
-            write!(f, ", to stop before TTI {until}")?;
+        if !paused && stop_before.0 < *ttis {
+            write!(f, ", to stop before TTI {stop_before}")?;
         }
         if *pace != Pace::Max {
             write!(f, ", a TTI every {pace}")?;
@@ -143,7 +147,7 @@ mod tests {
             tti: Tti(12),
             ttis: 400,
             paused: false,
-            until: Tti(400),
+            stop_before: Tti(400),
             pace: Pace::Max,
             begun: true,
             devices: 50,
@@ -158,7 +162,7 @@ mod tests {
             (running.clone(), "running at TTI 12 of 400"),
             (
                 ClockStatus {
-                    until: Tti(15),
+                    stop_before: Tti(15),
                     ..running.clone()
                 },
                 "running at TTI 12 of 400, to stop before TTI 15",

@@ -1,5 +1,6 @@
 //! The emulation plane between base station and hosts: joining, grants and answers. Fields and variants are encoded by
-//! position: a change raises `WIRE_VERSION`. [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
+//! position: a change raises `WIRE_VERSION`. Names in requests, [`ClockMessage`] and [`HostAnswer`] are part of
+//! recordings (`view/src/schemas.rs`). [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
 
 use std::fmt;
 use std::sync::Arc;
@@ -122,7 +123,8 @@ pub struct HostSetup {
 }
 
 impl HostSetup {
-    /// Checks the values with which a device would panic, or a host would mix up its devices.
+    /// Checks the values with which a device would panic, or a host would mix up its devices. A host calls it before it
+    /// uses a setup; a new precondition of a device belongs here.
     ///
     /// # Errors
     /// If a value is invalid; describes the first such value.
@@ -200,7 +202,8 @@ pub struct GrantMessage {
     /// The stimulus that devices can sense in `last`.
     pub stimulus: Option<Stimulus>,
     /// The last TTI of that stimulus. A device that wakes later senses nothing.
-    pub until: Tti,
+    #[serde(rename = "until")]
+    pub stimulus_last: Tti,
     /// Whether the answer contains the sums of the TTIs before `first`.
     #[serde(rename = "account")]
     pub wants_totals: bool,
@@ -264,7 +267,7 @@ impl fmt::Display for GrantMessage {
             first,
             last,
             stimulus,
-            until: _,
+            stimulus_last: _,
             wants_totals,
             wants_views,
             plan_from: _,

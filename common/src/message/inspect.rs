@@ -1,5 +1,6 @@
 //! Copies of messages for observers ([`Frame`], the unit of a recording), and the observers' queries about a run.
-//! Fields are encoded by position: a change raises `WIRE_VERSION`.
+//! Fields are encoded by position: a change raises `WIRE_VERSION`. The JSON form of a frame is in
+//! `view/src/frame_line.rs`. `deploy/` sends the requests and reads the replies.
 
 use std::fmt;
 
@@ -105,6 +106,7 @@ pub struct InputLogPart {
 }
 
 impl InputLogPart {
-    /// Length in bytes of a part, except a longer one with a single line. A shorter part ends the log.
+    /// Length in bytes of a part, except a longer one with a single line. A shorter part ends the log: writer
+    /// (`deploy/src/input_log.rs`) and reader rely on it. A message can be longer (`MAX_PAYLOAD` in `codec.rs`).
     pub const MAX_BYTES: u64 = 4 << 20;
 }

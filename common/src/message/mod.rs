@@ -6,6 +6,8 @@
 //! ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect` with its help and its page, and the fuzz target
 //! use it. A new kind needs a row of the table, a payload in the file of its plane and, if it is sent, a right in
 //! `bus/access.rs`. Rows and fields are encoded by position: a change is a new [`crate::codec::WIRE_VERSION`].
+//! `view/src/schemas.rs` traces an enum in a payload only if it names it. Recordings and the Wireshark dissector
+//! (`view/src/export/`) hold names, directions and help, and the dissector splits a direction at ` → `.
 //!
 //! The table omits the copies of messages for observers ([`Frame`]), which are not part of the run.
 

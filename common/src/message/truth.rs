@@ -1,6 +1,8 @@
 //! The truth plane, only for observers: the modelled world, and the beliefs of the base station. Its messages never
 //! cross the bus as such; `bs/src/observer/` builds them. Fields and variants are encoded by position: a change raises
-//! `WIRE_VERSION`. [`DeviceRemoval`] is also an entry of the input log, by the names of its fields.
+//! `WIRE_VERSION`. Their names are part of recordings (`view/src/schemas.rs`), and the dashboard's page
+//! (`deploy/src/dashboard/page/`) reads some. [`DeviceRemoval`] is also an entry of the input log, by the names of its
+//! fields, and of the digest.
 
 use std::fmt;
 
@@ -22,7 +24,8 @@ pub struct WorldUpdate {
     /// The stimulus in `last`, if any device might react to it.
     pub stimulus: Option<Stimulus>,
     /// The last TTI of that stimulus.
-    pub until: Tti,
+    #[serde(rename = "until")]
+    pub stimulus_last: Tti,
 }
 
 impl Concerns for WorldUpdate {}
@@ -101,10 +104,10 @@ impl Concerns for FailedReport {
 
 impl fmt::Display for FailedReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lost = format_significant(self.failure.drained_energy.units(), 4);
+        let lost_energy = format_significant(self.failure.drained_energy.units(), 4);
         write!(
             f,
-            "detected the event but could not pay for a report; {lost} units lost"
+            "detected the event but could not pay for a report; {lost_energy} units lost"
         )
     }
 }
@@ -223,10 +226,10 @@ impl DeviceRemoval {
         self.first.0 <= device.0 && device.0 - self.first.0 < self.count
     }
 
-    /// Whether it removes at least one device, all among the first `devices`.
-    pub fn is_valid(&self, devices: u32) -> bool {
+    /// Whether it removes at least one device, all among the first `device_count`.
+    pub fn is_valid(&self, device_count: u32) -> bool {
         let end = self.first.0.checked_add(self.count);
-        self.count > 0 && end.is_some_and(|end| end <= devices)
+        self.count > 0 && end.is_some_and(|end| end <= device_count)
     }
 }
 

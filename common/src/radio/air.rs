@@ -16,15 +16,15 @@ pub struct Air {
     burst_phases: Option<Phases>,
 }
 
-/// The losses on the air in one TTI: their probabilities, and the draw for each device. Repeated queries for a device
-/// give the same result.
+/// The losses on the air in one TTI: the probability of each kind of loss, and the draw for each device. Repeated
+/// queries for a device have the same result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AirLosses {
     seed: u64,
     tti: Tti,
-    wake_miss: f64,
-    uplink_loss: f64,
-    plan_loss: f64,
+    wake_miss_probability: f64,
+    uplink_loss_probability: f64,
+    plan_loss_probability: f64,
 }
 
 impl Air {
@@ -50,14 +50,15 @@ impl Air {
             .burst_phases
             .as_mut()
             .is_some_and(|phases| phases.phase_at(k).is_busy);
-        // During a burst each loss has at least the probability `loss`; a higher one in the settings is kept.
+        // During a burst each loss has at least the probability `loss`; a higher one in the settings is kept, also in
+        // `InterferenceBursts::mean_loss`.
         let burst_loss = bursts.filter(|_| is_burst).map_or(0.0, |bursts| bursts.loss);
         AirLosses {
             seed: self.seed,
             tti: k,
-            wake_miss: wake_miss.max(burst_loss),
-            uplink_loss: uplink_loss.max(burst_loss),
-            plan_loss: plan_loss.max(burst_loss),
+            wake_miss_probability: wake_miss.max(burst_loss),
+            uplink_loss_probability: uplink_loss.max(burst_loss),
+            plan_loss_probability: plan_loss.max(burst_loss),
         }
     }
 
@@ -67,22 +68,22 @@ impl Air {
         self.radio.plan_loss > 0.0 || self.radio.bursts.is_some()
     }
 
-    /// Delivers a plan that is sent in TTI `sent` to the `count` devices from `first` on. Calls `receive` with the
-    /// position and the duty cycle of each device that receives it; the others keep their plan. Returns the number of
-    /// devices that miss it. `sent` must not decrease between calls, nor between calls of [`Self::losses_at`].
+    /// Delivers a plan that is sent in TTI `sent` to the `device_count` devices from `first` on. Calls `receive` with
+    /// the position and the duty cycle of each device that receives it; the others keep their plan. Returns the number
+    /// of devices that miss it. `sent` must not decrease between calls, nor between calls of [`Self::losses_at`].
     pub fn deliver_plan(
         &mut self,
         sent: Tti,
         plan: &Plan,
         first: DeviceId,
-        count: usize,
+        device_count: usize,
         mut receive: impl FnMut(usize, DutyCycle),
     ) -> u64 {
         let losses = self.losses_at(sent);
         let mut missed = 0;
         // Each draw is keyed by device and TTI, so a host that delivers only to its own devices finds the same losses.
-        for (j, device) in (first.0..).map(DeviceId).enumerate().take(count) {
-            if losses.is_lost(Purpose::PlanLoss, device, losses.plan_loss) {
+        for (j, device) in (first.0..).map(DeviceId).enumerate().take(device_count) {
+            if losses.is_lost(Purpose::PlanLoss, device, losses.plan_loss_probability) {
                 missed += 1;
             } else {
                 receive(j, plan.duty_cycle(device));
@@ -95,12 +96,12 @@ impl Air {
 impl AirLosses {
     /// Whether the powered wake-up radio of `device` misses a wake-up.
     pub fn misses_wake_up(&self, device: DeviceId) -> bool {
-        self.is_lost(Purpose::WakeMiss, device, self.wake_miss)
+        self.is_lost(Purpose::WakeMiss, device, self.wake_miss_probability)
     }
 
     /// Whether a report of `device` is lost.
     pub fn loses_report(&self, device: DeviceId) -> bool {
-        self.is_lost(Purpose::UplinkLoss, device, self.uplink_loss)
+        self.is_lost(Purpose::UplinkLoss, device, self.uplink_loss_probability)
     }
 
     #[inline]
@@ -121,9 +122,12 @@ pub struct FalseWakeUps {
 
 impl FalseWakeUps {
     /// Creates the false wake-ups of `device` in a run with `seed`, with probability `p` in each TTI.
+    ///
+    /// # Panics
+    /// If `p` is not within 0 and 1.
     pub fn new(seed: u64, p: f64, device: DeviceId) -> Self {
         let gap_distribution = Geometric::new(p);
-        let mut stream = Stream::new(seed, Purpose::FalseWakes, u64::from(device.0));
+        let mut stream = Stream::new(seed, Purpose::FalseWakeUps, u64::from(device.0));
         // A gap of 1 is TTI 0.
         let next_tti = Tti(gap_distribution.draw(&mut stream)).previous();
         Self {
@@ -134,7 +138,7 @@ impl FalseWakeUps {
     }
 
     /// The TTI of the next false wake-up; [`Tti::NEVER`] without one.
-    pub const fn next(&self) -> Tti {
+    pub const fn next_tti(&self) -> Tti {
         self.next_tti
     }
 

@@ -1,5 +1,7 @@
 //! Bursts of interference that raise the loss probabilities of [`Air`](super::Air), and their long-run mean for
-//! [`RadioLossRates`](super::RadioLossRates). Digests depend on both; the settings are part of the wire format.
+//! [`RadioLossRates`](super::RadioLossRates). Digests depend on both, and `tests/src/reference/radio.rs` repeats them.
+//! The settings are part of the wire format (`WIRE_VERSION`) and of the scenario hash. A test compares words and help
+//! texts with `docs/scenario.md`.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +44,7 @@ impl InterferenceBursts {
         Phases::new(stream, self.burst_ttis, self.quiet_ttis)
     }
 
-    /// The long-run mean of a probability that is `p` between bursts.
+    /// The long-run mean of a loss probability that is `p` between bursts.
     pub(super) fn mean_loss(&self, p: f64) -> f64 {
         let Self {
             burst_ttis,

@@ -6,8 +6,10 @@
 //!                   ├────────► FalseWakeUps: gaps           ─► devices
 //!                   └────────► RadioLossRates: means        ─► the base station's knowledge
 //! ```
-//! Every draw is keyed by device and TTI. So the world, a device and an observer compute the same losses without a
-//! message. Digests depend on the draws; names and order of the fields are part of the scenario hash.
+//! A loss is drawn by device and TTI, false wake-ups from a stream for each device, bursts from a stream of the run. So
+//! the world, a device and an observer compute the same losses without a message. Digests depend on the draws, which
+//! `tests/src/reference/radio.rs` repeats. Names and order of the fields are part of the scenario hash. A test compares
+//! the help texts with `docs/scenario.md`; `docs/radio.md` explains the model.
 
 mod air;
 mod bursts;
@@ -20,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::declare::{FieldReader, FieldSink, PROBABILITY, ScenarioError, Section, Visit, choice, number, whole};
 use crate::ids::Tti;
 
+/// Maximum time from a wake-up until the device is awake.
 const MAX_WAKE_LATENCY_TTIS: u64 = 1_000_000;
 
 crate::declare! {
@@ -45,7 +48,8 @@ crate::declare! {
     }
 }
 
-/// The failure settings of the radio. They are part of the wire format, in [`HostSetup`](crate::message::HostSetup).
+/// The failure settings of the radio. They are part of the wire format (`WIRE_VERSION`), in
+/// [`HostSetup`](crate::message::HostSetup).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RadioSettings {
     /// Probability that a wake-up radio with power misses a wake-up, `[0, 1]`.
@@ -56,7 +60,7 @@ pub struct RadioSettings {
     pub uplink_loss: f64,
     /// Probability that a device misses a plan, `[0, 1]`.
     pub plan_loss: f64,
-    /// TTIs from a wake-up until the device is awake, at most a million.
+    /// TTIs from a wake-up until the device is awake, at most `MAX_WAKE_LATENCY_TTIS`.
     pub wake_latency: u64,
     /// Bursts with higher loss.
     pub bursts: Option<InterferenceBursts>,
@@ -74,7 +78,7 @@ pub struct RadioLossRates {
 }
 
 impl RadioSettings {
-    /// The fields of all kinds.
+    /// The fields of the radio, and of its bursts.
     pub(crate) const SECTIONS: [&'static Section; 2] = [Settings::SECTION, InterferenceBursts::SECTION];
 
     /// Builds the settings in `reader`.
@@ -136,7 +140,7 @@ impl RadioSettings {
         *self == Self::default()
     }
 
-    /// Whether all values are in range.
+    /// Whether all values are in range. A host checks it, since other values would panic in a device.
     pub fn is_valid(&self) -> bool {
         let Self {
             wake_miss,
@@ -152,23 +156,23 @@ impl RadioSettings {
             && bursts.is_none_or(|bursts| bursts.is_valid())
     }
 
-    /// The TTI in which a wake-up for a report in TTI `tti` is sent, after `earlier_wake_ups` other wake-ups.
-    pub const fn send_tti(&self, tti: Tti, earlier_wake_ups: u64) -> Tti {
-        tti.saturating_add(earlier_wake_ups.saturating_mul(self.wake_latency))
+    /// The TTI in which a wake-up for a report in TTI `report_tti` is sent, after `earlier_wake_ups` other wake-ups.
+    pub const fn send_tti(&self, report_tti: Tti, earlier_wake_ups: u64) -> Tti {
+        report_tti.saturating_add(earlier_wake_ups.saturating_mul(self.wake_latency))
     }
 
-    /// Whether a wake-up sent in TTI `sent` can belong to a report in TTI `tti`.
-    pub const fn is_valid_send_tti(&self, sent: Tti, tti: Tti) -> bool {
-        match sent.0.checked_sub(tti.0) {
+    /// Whether a wake-up sent in TTI `sent` can belong to a report in TTI `report_tti`, see [`Self::send_tti`].
+    pub const fn is_valid_send_tti(&self, sent: Tti, report_tti: Tti) -> bool {
+        match sent.0.checked_sub(report_tti.0) {
             Some(0) => true,
             Some(delay) => self.wake_latency > 0 && delay.is_multiple_of(self.wake_latency),
             None => false,
         }
     }
 
-    /// Whether a wake-up sent in TTI `sent` wakes a device too late for an event whose last TTI is `until`.
-    pub const fn is_late(&self, sent: Tti, until: Tti) -> bool {
-        sent.saturating_add(self.wake_latency).0 > until.0
+    /// Whether a wake-up sent in TTI `sent` wakes a device too late for an event whose last TTI is `event_last`.
+    pub const fn is_late(&self, sent: Tti, event_last: Tti) -> bool {
+        sent.saturating_add(self.wake_latency).0 > event_last.0
     }
 
     /// The base station's knowledge of this radio.

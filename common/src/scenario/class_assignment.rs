@@ -1,5 +1,6 @@
 //! The assignment of devices to classes, for [`crate::deployment`]. The seed decides which devices a share receives.
-//! Digests of scenarios with classes depend on the counts, on ties and on the shuffle.
+//! Digests of scenarios with classes depend on the counts, on ties and on the shuffle. The reference in `tests/src/`
+//! calls [`assign_classes`] too, so it cannot find an error here.
 
 use super::class_members::{Members, Zone};
 use super::classes::DeviceClass;
@@ -14,30 +15,31 @@ use crate::rng::{Purpose, Stream};
 /// largest remainder method sets the number of devices in each class, and the seed alone determines the devices.
 ///
 /// # Panics
-/// If a device has no class, which loading a scenario rules out.
+/// If a device has no class, which loading a scenario rules out for its seed: see [`Scenario::with_seed`].
 pub fn assign_classes<P>(scenario: &Scenario<P>) -> Vec<u16> {
     let assigned = try_assign_classes(scenario);
     assigned.unwrap_or_else(|j| panic!("device {j} has no class"))
 }
 
-/// Returns the class of each device, or the first device without a class as the error.
+/// Returns the class of each device, or the first device without a class as the error. Validation calls it to check the
+/// classes and to count their devices.
 pub(super) fn try_assign_classes<P>(scenario: &Scenario<P>) -> Result<Vec<u16>, usize> {
     if let Some(classes) = scenario.layout.classes() {
         return Ok(classes.to_vec());
     }
-    let assigned = assign_by_number_or_zone(scenario);
-    let unassigned = assigned.iter().filter(|class| class.is_none()).count();
-    let counts = class_counts(scenario, unassigned);
+    let selected = assign_by_number_or_zone(scenario);
+    let unselected_count = selected.iter().filter(|class_index| class_index.is_none()).count();
+    let counts = class_counts(scenario, unselected_count);
     let mut drawn_classes: Vec<u16> = (0u16..)
         .zip(&counts)
-        .flat_map(|(class, &count)| std::iter::repeat_n(class, count))
+        .flat_map(|(class_index, &count)| std::iter::repeat_n(class_index, count))
         .collect();
     if counts.len() > 1 {
         Stream::new(scenario.run.seed, Purpose::Classes, 0).shuffle(&mut drawn_classes);
     }
     let mut drawn_classes = drawn_classes.into_iter();
-    let class_of = |(j, class): (usize, Option<u16>)| class.or_else(|| drawn_classes.next()).ok_or(j);
-    assigned.into_iter().enumerate().map(class_of).collect()
+    let class_of = |(j, index): (usize, Option<u16>)| index.or_else(|| drawn_classes.next()).ok_or(j);
+    selected.into_iter().enumerate().map(class_of).collect()
 }
 
 /// Returns the class of each device that some class lists by number or covers by its zone.
@@ -58,16 +60,18 @@ fn assign_by_number_or_zone<P>(scenario: &Scenario<P>) -> Vec<Option<u16>> {
     let zones: Vec<(u16, Zone)> = (0u16..).zip(&scenario.classes).filter_map(zone).collect();
     if !zones.is_empty() {
         let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        for (class, position) in assigned.iter_mut().zip(positions).filter(|(class, _)| class.is_none()) {
-            let first_match = zones.iter().find(|(_, zone)| zone.contains(position));
-            *class = first_match.map(|&(index, _)| index);
+        for (class_index, position) in assigned.iter_mut().zip(positions) {
+            if class_index.is_none() {
+                let first_match = zones.iter().find(|(_, zone)| zone.contains(position));
+                *class_index = first_match.map(|&(index, _)| index);
+            }
         }
     }
     assigned
 }
 
-/// Distributes `devices` devices over the classes by their shares; all counts are 0 if no class has a share.
-fn class_counts<P>(scenario: &Scenario<P>, devices: usize) -> Vec<usize> {
+/// Distributes `device_count` devices over the classes by their shares; all counts are 0 if no class has a share.
+fn class_counts<P>(scenario: &Scenario<P>, device_count: usize) -> Vec<usize> {
     let share = |class: &DeviceClass| match class.members {
         Members::Share(share) => share,
         Members::Devices(_) | Members::Within(_) | Members::Layout => 0.0,
@@ -75,9 +79,9 @@ fn class_counts<P>(scenario: &Scenario<P>, devices: usize) -> Vec<usize> {
     let quotas: Vec<f64> = scenario
         .classes
         .iter()
-        .map(|class| share(class) * devices as f64)
+        .map(|class| share(class) * device_count as f64)
         .collect();
-    let mut remaining = devices;
+    let mut remaining = device_count;
     let mut counts = Vec::with_capacity(quotas.len());
     for quota in &quotas {
         // Shares may add up to slightly more than 1, see `SHARE_TOLERANCE`.
@@ -89,8 +93,8 @@ fn class_counts<P>(scenario: &Scenario<P>, devices: usize) -> Vec<usize> {
     let mut by_remainder: Vec<usize> = (0..quotas.len()).filter(has_share).collect();
     // A stable sort: of equal remainders the earlier class comes first.
     by_remainder.sort_by(|&a, &b| quotas[b].fract().total_cmp(&quotas[a].fract()));
-    for &class in by_remainder.iter().cycle().take(remaining) {
-        counts[class] += 1;
+    for &class_index in by_remainder.iter().cycle().take(remaining) {
+        counts[class_index] += 1;
     }
     counts
 }

@@ -1,7 +1,8 @@
 //! The members of a device class: a share of the devices, a list of devices, or the devices in a zone. Names and order
-//! of the fields are part of scenario files and of the scenario hash.
+//! of the fields are part of scenario files and of the scenario hash, their help texts of `docs/scenario.md`.
+//! `classes.rs` checks the name and the sum of shares, `validate.rs` the lists.
 
-use crate::declare::{ABOVE_ZERO, FieldReader, NOT_NEGATIVE, ScenarioError, number, text, wholes};
+use crate::declare::{FieldReader, NOT_NEGATIVE, SHARE_ABOVE_ZERO, ScenarioError, number, text, wholes};
 use crate::geometry::{Area, Point};
 use crate::ids::MAX_DEVICES;
 
@@ -13,7 +14,7 @@ crate::declare! {
         pub(super) name: Option<String> = text(),
         /// Share of the N devices, except those that a class selects by `devices` or by zone; all shares add up to 1.
         /// Not needed if `layout.file` has a column `class`, which then assigns the classes.
-        pub(super) share: Option<f64> = number(ABOVE_ZERO, 1.0).required(),
+        pub(super) share: Option<f64> = number(SHARE_ABOVE_ZERO, 1.0).required(),
         /// Numbers of the class's devices, from 0, instead of a share.
         pub(super) devices: Option<Vec<u32>> = wholes(0, MAX_DEVICES - 1, MAX_DEVICES as usize, &[]).required(),
         /// Western edge of the class's zone, from `west` to `east` and `south` to `north`, instead of a share. The zone
@@ -42,7 +43,8 @@ pub enum Members {
     Layout,
 }
 
-/// A rectangle of the area, its edges included, in metres from the south-west corner. An omitted edge is the area's.
+/// A rectangle of the area, its edges included, in metres from the south-west corner. An omitted edge is the area's; at
+/// least one is set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Zone {
     /// The smallest x.
@@ -66,10 +68,10 @@ impl Zone {
 }
 
 impl Members {
-    /// Returns the rule that the `fields` of a class specify; `None` if they specify none. `item` reads the table of
-    /// this class.
+    /// Returns the rule that the `fields` of a class specify; `None` if they specify none. `class_reader` reads the
+    /// table of this class.
     pub(super) fn from_fields(
-        item: &FieldReader<'_>,
+        class_reader: &FieldReader<'_>,
         fields: &ClassFields,
         area: Area,
     ) -> Result<Option<Self>, ScenarioError> {
@@ -83,7 +85,7 @@ impl Members {
         if usize::from(fields.share.is_some()) + usize::from(fields.devices.is_some()) + usize::from(has_zone) > 1 {
             let allowed = "selects its devices in several ways; keep only one of class.share, class.devices and the \
                 zone (class.west, east, south, north)";
-            return Err(item.invalid_value("class.name", fields.name.as_deref().unwrap_or_default(), allowed));
+            return Err(class_reader.invalid_value("class.name", fields.name.as_deref().unwrap_or_default(), allowed));
         }
         let sides = [
             ("class.west", zone.west, zone.east, area.width, "east"),
@@ -93,7 +95,7 @@ impl Members {
             let (least, most) = (least.unwrap_or(0.0), most.unwrap_or(limit));
             if least > most {
                 let allowed = format!("must be at most {most}, the {opposite} edge of the zone");
-                return Err(item.invalid_value(path, least, allowed));
+                return Err(class_reader.invalid_value(path, least, allowed));
             }
         }
         let by_zone = has_zone.then_some(Self::Within(zone));

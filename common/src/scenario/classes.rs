@@ -1,5 +1,6 @@
 //! Device classes: their fields, read and written, and the check that together they cover all devices. The name
-//! `default` marks a scenario without classes, so it decides how its fields are written and hashed.
+//! `default` marks a scenario without classes, so it decides how its fields are written and hashed. The tests are in
+//! `bs/src/scenario/tests/`, which expects the texts of errors.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +11,7 @@ use crate::energy::EnergyModel;
 use crate::geometry::Area;
 use crate::harvest::Harvest;
 
-/// Maximum number of classes; `geometry/file.rs` relies on their indices fitting in 16 bits.
+/// Maximum number of classes; `geometry/file.rs` and `class_assignment.rs` rely on indices that fit in 16 bits.
 pub(crate) const MAX_CLASSES: usize = 256;
 /// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;
@@ -23,7 +24,7 @@ pub struct DeviceClass {
     /// Its name in files and tables.
     pub name: String,
     /// The share of all N devices, `(0, 1]`, 0 for a class without devices: declared if every class has a share,
-    /// otherwise counted. [`Members::Share`] is the share of the devices that no class selects.
+    /// otherwise counted by `validate.rs`. [`Members::Share`] is the share of the devices that no class selects.
     pub share: f64,
     /// The rule that determines its members.
     pub members: Members,
@@ -43,14 +44,14 @@ impl DeviceClass {
     ) -> Result<(Vec<Self>, Vec<bool>), ScenarioError> {
         let items = reader.items();
         if items.is_empty() {
-            let only = Self {
+            let default_class = Self {
                 name: DEFAULT_CLASS_NAME.to_owned(),
                 share: 1.0,
                 members: Members::Share(1.0),
                 energy: EnergyModel::from_fields(reader)?,
                 harvest: Harvest::from_fields(reader, run.tau, run.ttis)?,
             };
-            return Ok((vec![only], vec![true]));
+            return Ok((vec![default_class], vec![true]));
         }
         if items.len() > MAX_CLASSES {
             let found = format!("{} classes", items.len());
@@ -97,7 +98,7 @@ impl DeviceClass {
         let specifies_members = members.is_some();
         let class = Self {
             name,
-            // Set once the members of all classes are known.
+            // `set_class_shares` in `validate.rs` sets it once the members of all classes are known.
             share: 0.0,
             members: members.unwrap_or(Members::Layout),
             energy: EnergyModel::from_fields(&item)?,

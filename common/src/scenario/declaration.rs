@@ -1,5 +1,6 @@
-//! The declaration of all fields of a scenario, in the order in which files, schema and reference page show them.
-//! Hashing follows the order of [`Scenario::visit`](super::Scenario::visit) instead.
+//! The declaration of all fields of a scenario, in the order in which files, schema and reference page
+//! (`docs/scenario.md`, compared by a test) show them. Hashing follows the order of
+//! [`Scenario::visit`](super::Scenario::visit) instead: a new section needs a line in both.
 
 use super::class_members::ClassFields;
 use super::policy::{Policies, PolicyKind};
@@ -26,6 +27,7 @@ pub fn declaration<K: PolicyKind>(policies: Policies<'_, K>) -> Declaration {
         sections,
         list: TableArray {
             section: ClassFields::SECTION,
+            // The paths of `EnergyModel::SECTION` and, with everything below it, `Harvest::SECTIONS`.
             inherits: &["energy", "harvest"],
         },
         registered: policies

@@ -1,5 +1,6 @@
 //! Loading of scenarios: preset, file and command line, in this order of precedence from low to high.
-//! `bs/src/scenario/tests/` expects the precedence and the texts of errors.
+//! `bs/src/scenario/tests/` expects the precedence and the texts of errors. `bs/src/scenario/` calls [`load`] and
+//! [`parse`] with the policies of the program.
 
 use std::io;
 use std::path::Path;
@@ -92,15 +93,15 @@ fn resolve<K: PolicyKind>(
         .chain(&override_layers)
         .filter_map(|layer| layer.text_at("preset"))
         .next_back();
-    let name = preset_field.as_ref().map_or(base_preset.name, |(name, _)| *name);
-    let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
+    let preset_name = preset_field.as_ref().map_or(base_preset.name, |(name, _)| *name);
+    let Some(preset) = PRESETS.iter().find(|preset| preset.name == preset_name) else {
         return Err(ScenarioError::Invalid {
             field: "preset".to_owned(),
-            value: truncate(name),
+            value: truncate(preset_name),
             allowed: format!(
                 "must be one of {}{}",
                 quoted_list(preset_names()),
-                did_you_mean(name, preset_names())
+                did_you_mean(preset_name, preset_names())
             ),
             origin: preset_field.map_or(ValueOrigin::Unset, |(_, origin)| origin),
         });
@@ -123,7 +124,8 @@ fn merge_layers<'a>(
     Ok(layers.finish())
 }
 
-/// The preset from which a file starts unless it names another.
+/// The preset from which a file starts unless it names another; the default of the field `preset` in `run.rs` repeats
+/// its name.
 const fn default_preset() -> &'static Preset {
     &PRESETS[0]
 }

@@ -3,7 +3,8 @@
 //! A scenario consists of layers: the declared defaults, the preset that the file names, the file, and the command
 //! line. [`load()`] merges them field by field, keeps the origin of each value, and validates the result once. The
 //! result is a [`Scenario`] without optional parts, with its warnings ([`LoadedScenario`]). Each concept declares its
-//! own fields ([`mod@crate::declare`]); [`declaration()`] combines them. `bs/src/scenario/` adds the policies.
+//! own fields ([`mod@crate::declare`]); [`declaration()`] combines them. `bs/src/scenario/` adds the policies; most
+//! tests are there.
 
 mod class_assignment;
 mod class_members;

@@ -1,8 +1,9 @@
 //! A validated scenario, on which all parts of a run rely. [`super::load()`] creates it.
 //!
 //! The order, names and values of fields in [`Scenario::visit`] are the scenario hash, by which sweeps recognise
-//! finished runs. A new field changes every hash, which costs users a repetition of unfinished sweeps and is recorded
-//! in `tests/digests/`. A new section also needs a line in `declaration.rs`.
+//! finished runs, and input logs and resume marks their run. A new field changes every hash, which costs users a
+//! repetition of unfinished sweeps and is recorded in `tests/digests/`. A section that passes nothing at its default,
+//! as the radio's, keeps the hashes. A new section also needs a line in `declaration.rs`.
 
 use std::fmt::Write as _;
 
@@ -70,7 +71,8 @@ impl<P> Scenario<P> {
         }
     }
 
-    /// Returns this scenario with another seed.
+    /// Returns this scenario with another seed, without a new validation. Where classes have zones and the layout is
+    /// random, [`DeviceClass::share`] stays as counted for the old seed, and a device can lie outside all zones.
     #[must_use]
     pub fn with_seed(&self, seed: u64) -> Self
     where
@@ -89,11 +91,11 @@ impl<P> Scenario<P> {
     /// Returns the length in TTIs of the longest run with these devices for which all energy sums fit in 64 bits; 0 if
     /// the full batteries alone do not fit.
     pub fn max_ttis(&self) -> u64 {
-        let (level, per_tti) = (self.largest_level(), self.largest_turnover());
+        let (level, turnover) = (self.largest_level(), self.largest_turnover());
         let devices = u128::from(self.run.devices);
         let free = u128::from(u64::MAX).saturating_sub(devices * u128::from(level.micro()));
         // At least 1, because it is a divisor.
-        let ttis = free / (devices * per_tti.max(1));
+        let ttis = free / (devices * turnover.max(1));
         u64::try_from(ttis).unwrap_or(u64::MAX)
     }
 

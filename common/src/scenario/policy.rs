@@ -1,5 +1,5 @@
 //! The interface between scenarios and policies. A scenario holds a policy with its settings; only the policy
-//! interprets them.
+//! interprets them. `PolicyEntry` in `bs/src/policy/factory.rs` implements it for all policies, `testing.rs` for tests.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ pub trait PolicyKind: Sync + Debug + 'static {
     /// The name in `policy.name`, on the command line, in the scenario hash and in every file.
     fn name(&self) -> &'static str;
 
-    /// A description in one sentence, for help and reference.
+    /// A description in one sentence, for help and `docs/scenario.md`.
     fn about(&self) -> &'static str;
 
     /// The fields under `policy.NAME`; `None` for a policy without settings.
@@ -28,11 +28,11 @@ pub trait PolicyKind: Sync + Debug + 'static {
     fn read_settings(&self, reader: &FieldReader<'_>, site: &Site<'_>) -> Result<Arc<Self::Settings>, ScenarioError>;
 
     /// Returns the number of TTIs, ≥ 1, within which the policy promises to look at every place once, with the path of
-    /// its field; `None` without such a promise.
+    /// its field; `None` without such a promise. Validation warns if events can end within it.
     fn delay_budget(settings: &Self::Settings) -> Option<(&'static str, u64)>;
 
     /// Returns the length in TTIs of the pilot runs that the policy needs, with the path of its field; `None` without
-    /// any.
+    /// any. Validation rejects a length for which sums of energy overflow.
     fn pilot_ttis(settings: &Self::Settings) -> Option<(&'static str, u64)>;
 }
 

@@ -2,11 +2,14 @@
 //! of scenario files and of the scenario hash; a test compares the declarations with `docs/scenario.md`.
 
 use crate::declare;
-use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};
+use crate::declare::{
+    Alternative, POSITIVE, Preset, SHARE_BELOW_ONE, choice, choices, number, registered, whole, word,
+};
 use crate::ids::{MAX_DEVICES, MAX_TTIS};
 
 /// The presets. The first one changes nothing: it is the declared defaults, from which a file starts unless it names
-/// another preset. A changed default or preset changes the digests of its runs.
+/// another preset. A changed default or preset changes the digests of its runs. `study/src/report/claim_rows.rs`, help
+/// texts in `deploy/src/cli/`, the fuzz target `scenario` (their number) and `README.md` repeat them.
 pub const PRESETS: &[Preset] = &[
     Preset {
         name: "paper",
@@ -28,6 +31,7 @@ pub const PRESETS: &[Preset] = &[
 /// The presets as words of the field `preset`.
 const PRESET_WORDS: [Alternative; PRESETS.len()] = {
     let mut words = [Alternative { name: "", about: "" }; PRESETS.len()];
+    // A `for` loop is not possible in a constant.
     let mut index = 0;
     while index < words.len() {
         words[index] = Alternative {
@@ -52,7 +56,7 @@ declare! {
         /// Seed of every random stream.
         pub seed: u64 = whole(0, u64::MAX, 1),
         /// Share of K that is simulated but excluded from every metric.
-        pub warm_up: f64 = number(BELOW_ONE, 0.1),
+        pub warm_up: f64 = number(SHARE_BELOW_ONE, 0.1),
         /// Duration τ of a TTI.
         pub tau: f64 = number(POSITIVE, 1.0).unit("units of model time").source("Sec. III-A"),
     }

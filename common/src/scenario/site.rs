@@ -1,5 +1,7 @@
 //! [`Site`]: the facts about its devices and their area that the base station knows before a run. A policy checks and
-//! completes its settings with them. The doc tests below keep ground truth out.
+//! completes its settings with them. [`Scenario::site`](super::Scenario::site) builds it. The doc tests below keep
+//! ground truth out; `compile_fail` also passes for a path that does not exist, so rename types there too.
+//! `tests/tests/knowledge_wall.rs` reads its `Debug` text.
 
 use super::run::BsSettings;
 use crate::energy::EnergyModel;
@@ -12,11 +14,11 @@ use crate::units::Energy;
 pub struct ClassKnowledge<'s> {
     /// The name of the class.
     pub name: &'s str,
-    /// The share of the devices, `(0, 1]`.
+    /// The share of all N devices, `[0, 1]`; 0 for a class without devices.
     pub share: f64,
     /// Battery and costs.
     pub energy: EnergyModel,
-    /// The mean harvest in a TTI.
+    /// The mean harvest in a TTI, see [`Harvest::mean`](crate::harvest::Harvest::mean).
     pub mean_harvest: Energy,
 }
 
@@ -71,7 +73,7 @@ pub struct ClassKnowledge<'s> {
 /// ```
 #[derive(Clone, Debug)]
 pub struct Site<'s> {
-    /// Number of devices N, `1 ..= 1 000 000`.
+    /// Number of devices N, `1 ..= `[`MAX_DEVICES`](crate::ids::MAX_DEVICES).
     pub devices: u32,
     /// The served area ξ.
     pub area: Area,

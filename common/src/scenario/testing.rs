@@ -1,4 +1,4 @@
-//! A test policy for this crate, which defines no policies.
+//! A test policy for this crate, which defines no policies, and loaders of scenarios with it.
 
 use std::sync::Arc;
 
@@ -9,11 +9,13 @@ use crate::declare::{FieldReader, FieldSink, Section, Visit};
 #[derive(Debug)]
 pub(crate) struct StubPolicy {
     /// Called when the settings are read; a test can access fields of the scenario here.
-    read: fn(&FieldReader<'_>) -> Result<(), ScenarioError>,
+    read_fields: fn(&FieldReader<'_>) -> Result<(), ScenarioError>,
 }
 
 /// The stub that reads no fields.
-static STUB: StubPolicy = StubPolicy { read: |_| Ok(()) };
+static STUB: StubPolicy = StubPolicy {
+    read_fields: |_| Ok(()),
+};
 
 /// The empty settings of [`StubPolicy`].
 #[derive(Debug)]
@@ -26,7 +28,7 @@ impl Visit for NoSettings {
 impl PolicyKind for StubPolicy {
     type Settings = NoSettings;
 
-    // The default of `policy.name`.
+    // The default of `policy.name` in `run.rs`: the presets name no policy.
     fn name(&self) -> &'static str {
         "knn"
     }
@@ -40,7 +42,7 @@ impl PolicyKind for StubPolicy {
     }
 
     fn read_settings(&self, reader: &FieldReader<'_>, _: &Site<'_>) -> Result<Arc<NoSettings>, ScenarioError> {
-        (self.read)(reader)?;
+        (self.read_fields)(reader)?;
         Ok(Arc::new(NoSettings))
     }
 
@@ -82,7 +84,7 @@ mod tests {
 
     /// A policy that reads the event process, which is forbidden.
     static PEEKING: StubPolicy = StubPolicy {
-        read: |reader| EventSettings::from_fields(reader).map(drop),
+        read_fields: |reader| EventSettings::from_fields(reader).map(drop),
     };
 
     #[test]

@@ -1,5 +1,6 @@
-//! Scenarios written as TOML: the file `scenario.toml` of a run folder, and the templates of `reveille scenario`.
-//! Loading such a file must restore an equal scenario: resuming and replay rely on it.
+//! Scenarios written as TOML: the file `scenario.toml` of a run folder (`deploy/src/scenario_files.rs`), and the
+//! templates of `reveille scenario`. Loading such a file must restore an equal scenario with an equal hash: resuming
+//! and replay rely on it, and the fuzz target `scenario` checks it.
 
 use std::path::{Path, PathBuf};
 
@@ -20,11 +21,11 @@ impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
     #[must_use]
     pub fn to_toml_with_files(&self, rename: impl Fn(&Path) -> Option<String>) -> String {
         let mut page = TomlPage::default();
-        let mut renamed = FileRenamer {
+        let mut renamer = FileRenamer {
             page: &mut page,
             rename,
         };
-        self.visit(&mut renamed);
+        self.visit(&mut renamer);
         page.active_fields(&declaration(&[self.policy.kind()]))
     }
 

@@ -78,7 +78,7 @@ pub(super) fn validate<K: PolicyKind>(
     Ok(LoadedScenario { scenario, warnings })
 }
 
-/// Checks the lists of devices and sets the share of each class.
+/// Checks the lists of devices, and that each device has a class; sets the share of each class.
 fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Result<(), ScenarioError> {
     let n = scenario.run.devices;
     let mut listed = BTreeSet::new();
@@ -108,12 +108,12 @@ fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Re
         let complaint = format!("device {j} has no class; set class.share in a class, for the remaining devices");
         reader.invalid_value("class", format!("{} classes", scenario.classes.len()), complaint)
     })?;
-    let by_layout = scenario.layout.classes().is_some();
+    let is_set_by_layout = scenario.layout.classes().is_some();
     for (index, class) in scenario.classes.iter_mut().enumerate() {
         let devices = assigned.iter().filter(|&&class| usize::from(class) == index).count();
         class.share = devices as f64 / assigned.len() as f64;
         if devices == 0 {
-            let source = if by_layout { " of layout.file" } else { "" };
+            let source = if is_set_by_layout { " of layout.file" } else { "" };
             reader.warn(format!("no device{source} has the class `{}`", class.name));
         }
     }
@@ -148,6 +148,7 @@ fn check_energy_sums<K: PolicyKind>(
     let max_ttis = scenario.max_ttis();
     let devices = scenario.run.devices;
     if max_ttis == 0 {
+        // Half of 64 bits for the full batteries, so that the other half is left for harvest and consumption.
         let most = Energy::from_micro(u64::MAX / 2 / u64::from(devices));
         let allowed = format!("must be at most {most} with {devices} devices, or sums of energy overflow");
         return Err(reader.invalid_value("energy.e_max", scenario.largest_level(), allowed));

@@ -1,6 +1,8 @@
 //! The results of a run for each device and each device class, for the tables and the summary of a run.
-//! [`super::Score`] counts the activity; the ledgers come from the devices at the end. The field names of
-//! [`EventActivity`] are keys of the classes in `summary.json`.
+//! [`super::Score`] counts the activity; the ledgers come from the devices at the end. The serialised names of
+//! [`EventActivity`] are keys of the classes in `summary.json` (`SUMMARY_VERSION`). `deploy/src/run_tables.rs` repeats
+//! the names of [`EventActivity::rows`] as columns of `devices.csv`, and `deploy/src/results_table.rs` finds rows by
+//! their index. `docs/results.md` explains both.
 
 use std::ops::AddAssign;
 
@@ -54,7 +56,7 @@ impl EventActivity {
         ..Self::NONE
     };
     /// The activity of a device that became active without effect: it could not pay for a report, or was woken beyond
-    /// `d_max`.
+    /// `d_max`. The score adds it to the activity of the wake-up.
     pub(super) const WRONG_ACTIVATION: Self = Self {
         wrong_activations: 1,
         ..Self::NONE
@@ -109,15 +111,15 @@ pub struct ClassRecord {
 }
 
 impl ClassRecord {
-    /// Sums the records of the devices of `class` among `devices`, over `ttis` measured TTIs.
-    pub fn new(class: u16, devices: &[DeviceRecord], ttis: u64) -> Self {
+    /// Sums the records of the devices of `class` among `devices`, over `measured_ttis` TTIs.
+    pub fn new(class: u16, devices: &[DeviceRecord], measured_ttis: u64) -> Self {
         let members = || devices.iter().filter(|device| device.class == class);
         let measured = || members().map(|device| &device.ledger.measured);
         let mut activity = EventActivity::default();
         members().for_each(|device| activity += device.activity);
         let totals = Totals {
             devices: members().count() as u64,
-            ttis,
+            ttis: measured_ttis,
             energy: measured().copied().sum::<DeviceTotals>(),
             spread: Spread::from_devices(measured()),
             ..Totals::default()

@@ -1,7 +1,8 @@
-//! The definitions of all metrics, computed from exact integer totals. An entry of `metrics!` below is enough for a new
-//! metric: summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are part of those formats: a
-//! new metric raises the version of result tables (`lab/src/table/error.rs`), and a renamed one needs an entry in
-//! `FORMER_NAMES`.
+//! The definitions of all metrics, computed from exact integer totals. A new metric is an entry of `metrics!` below:
+//! summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are columns of result tables, so it
+//! also needs a name in [`Metrics::ADDED_LATER`] and a higher `TABLE_VERSION` (`lab/src/table/error.rs`). The test
+//! `tests/tests/reference.rs` computes every metric a second time, `tests/recompute/recompute.py` most of them. A
+//! renamed metric needs an entry in `FORMER_NAMES`.
 
 use serde::Serialize;
 
@@ -55,7 +56,7 @@ pub struct Metric {
     pub unit: &'static str,
     /// The unit as text, for the axis of a figure.
     pub axis: &'static str,
-    /// The measured quantity.
+    /// The measured quantity: the doc comment of the entry in `metrics!`, also a row of `docs/results.md`.
     pub meaning: &'static str,
     /// Whether the mean may be 0 while the values are not, so that an interval relative to the mean is meaningless.
     pub is_difference: bool,
@@ -75,6 +76,7 @@ impl MetricInputs<'_> {
         self.totals.events.information_pico as f64 / PICO_PER_INFORMATION
     }
 
+    /// Returns `sum` per counted event; NaN without events.
     fn per_event(&self, sum: f64) -> f64 {
         match self.totals.events.events {
             0 => f64::NAN,
@@ -86,7 +88,7 @@ impl MetricInputs<'_> {
         self.per_event(100.0 * self.totals.missed.by_cause(cause) as f64)
     }
 
-    /// Returns `sum` per reported event.
+    /// Returns `sum` per reported event; NaN without reported events.
     fn per_reported_event(&self, sum: f64) -> f64 {
         let EventTotals {
             events, misdetected, ..
@@ -124,7 +126,7 @@ macro_rules! metrics {
         $($(#[doc = $meaning:literal])+
         $name:ident: $unit:literal, $axis:literal $(, $difference:ident)? = |$measured:ident| $formula:expr;)+
     })+) => {
-        /// The metrics of a run; those per event are NaN if no event was counted.
+        /// The metrics of a run. A metric is NaN if its divisor is 0, for example the number of events.
         #[derive(Clone, Copy, Debug, Default, Serialize)]
         pub struct Metrics {
             $($($(#[doc = $meaning])+
@@ -297,20 +299,20 @@ metrics! {
         uplink_bytes_per_tti: "bytes/TTI", "bytes of reports per TTI" = |run| run.per_tti(run.totals.uplink.bytes);
         /// Reports lost between device and BS, % of reports sent.
         lost_reports_pct: "% of reports", "% of reports that were lost" = |run| {
-            let lost = run.totals.losses.reports as f64;
+            let lost = run.totals.losses.lost_reports as f64;
             100.0 * lost / (lost + run.totals.uplink.messages as f64)
         };
         /// Wake-ups that the device did not receive, % of wake-ups sent. The wake-up radio missed the signal or was
         /// unpowered, or the device was not asleep.
         missed_wake_ups_pct: "% of wake-ups", "% of wake-ups not received" = |run| {
-            let RadioLosses { wake_ups, missed_wake_ups, .. } = run.totals.losses;
-            100.0 * missed_wake_ups as f64 / wake_ups as f64
+            let RadioLosses { sent_wake_ups, missed_wake_ups, .. } = run.totals.losses;
+            100.0 * missed_wake_ups as f64 / sent_wake_ups as f64
         };
         /// Wake-ups after which the device woke too late for the event because of `radio.wake_latency`, % of wake-ups
         /// sent.
         late_wake_ups_pct: "% of wake-ups", "% of wake-ups that were too late" = |run| {
-            let RadioLosses { wake_ups, late, .. } = run.totals.losses;
-            100.0 * late as f64 / wake_ups as f64
+            let RadioLosses { sent_wake_ups, late_wake_ups, .. } = run.totals.losses;
+            100.0 * late_wake_ups as f64 / sent_wake_ups as f64
         };
         /// TTIs from an event's first report to its last, mean over reported events. The cause is the wake-up latency
         /// of devices woken in order.
@@ -320,8 +322,8 @@ metrics! {
         };
         /// Plans that a device missed, % of plans sent, counted once per device.
         missed_plans_pct: "% of plans", "% of plans that devices missed" = |run| {
-            let RadioLosses { plans, missed_plans, .. } = run.totals.losses;
-            100.0 * missed_plans as f64 / plans as f64
+            let RadioLosses { sent_plans, missed_plans, .. } = run.totals.losses;
+            100.0 * missed_plans as f64 / sent_plans as f64
         };
         /// Device-TTIs with δ = 0 and a false or late wake-up, % of device-TTIs with δ = 0.
         false_wake_ups_pct: "% of δ = 0", "% of δ = 0 with a false or late wake-up" = |run| {
@@ -355,7 +357,7 @@ impl Metrics {
         names
     };
 
-    /// Names of metrics in version 0.1, each with the name of today.
+    /// Names of metrics in version 0.1, each with the name of today. Options and result tables still accept them.
     const FORMER_NAMES: [(&str, &str); 5] = [
         ("dark_pct", "unpowered_pct"),
         ("gone_pct", "removed_pct"),
@@ -364,8 +366,8 @@ impl Metrics {
         ("false_wakes_pct", "false_wake_ups_pct"),
     ];
 
-    /// The metrics that result tables of earlier versions do not have: the causes of missed events before version 3,
-    /// `info_per_energy` before version 4.
+    /// The metrics that result tables of earlier versions do not have, and may lack when read: the causes of missed
+    /// events before version 3, `info_per_energy` before version 4.
     pub const ADDED_LATER: [&str; MissCause::COUNT + 1] = [
         "missed_out_of_reach_pct",
         "missed_removed_pct",
@@ -396,7 +398,7 @@ impl Metrics {
         Self::find(name).map_or("", |metric| metric.axis)
     }
 
-    /// Returns the value of the metric `name`, which may be `events`.
+    /// Returns the value of the metric `name`, which may be `events` but not a former name.
     pub fn value(&self, name: &str) -> Option<f64> {
         self.rows().into_iter().find(|row| row.0 == name).map(|row| row.1)
     }

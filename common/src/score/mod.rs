@@ -2,6 +2,7 @@
 //!
 //! The score receives the history of the run in order and decides nothing. `bs/src/cycle.rs` feeds it during a run,
 //! `view/src/reconstruction.rs` from a recording; equal calls must give an equal digest. [`Score`] is the entry point.
+//! `tests/src/reference/world.rs` counts the same a second time.
 
 mod devices;
 mod digest;
@@ -33,7 +34,7 @@ use crate::units::Energy;
 /// The active event and its results so far.
 #[derive(Clone, Copy, Debug)]
 struct OpenEvent {
-    event: ActiveEvent,
+    active_event: ActiveEvent,
     tally: EventTally,
     has_lost_report: bool,
     /// Whether a device with δ = 1 would have detected it, but could not pay for sensing.
@@ -44,7 +45,7 @@ struct OpenEvent {
     last_wake_ups: (Tti, u64),
     /// The number of those wake-ups up to the last one that brought a report.
     wake_ups_until_last_report: u64,
-    /// Number of devices that woke after its end.
+    /// Number of devices woken for it that woke after its end.
     late_wake_ups: u64,
 }
 
@@ -87,6 +88,8 @@ pub struct FinalScore {
     pub digest: Digest,
     /// The metrics of the measured TTIs.
     pub metrics: Metrics,
+    /// The α of `info_p1`: the mean probability that an event starts, over the measured TTIs.
+    pub start_probability: f64,
     /// The exact totals from which the metrics follow.
     pub totals: Totals,
     /// The results of each device, in the order of ids.
@@ -144,7 +147,7 @@ impl Score {
     /// Records that `missed` of the `devices` addressed in TTI `from` did not receive the last plan sent.
     pub fn record_missed_plans(&mut self, from: Tti, devices: u64, missed: u64) {
         if from >= self.warm_up_end {
-            self.losses.plans += devices;
+            self.losses.sent_plans += devices;
             self.losses.missed_plans += missed;
         }
     }
@@ -153,7 +156,7 @@ impl Score {
     pub fn record_event_start(&mut self, event: ActiveEvent) {
         self.digest.add_event_start(event.start, &event.stimulus);
         self.current = Some(OpenEvent {
-            event,
+            active_event: event,
             tally: EventTally::default(),
             has_lost_report: false,
             has_unpowered_detector: false,
@@ -219,8 +222,8 @@ impl Score {
 
     /// Returns the mean of α over the measured TTIs before `end`, with `alpha` up to the first change.
     fn mean_event_rate(&self, alpha: f64, end: Tti) -> f64 {
-        let measured = end.0.saturating_sub(self.warm_up_end.0);
-        if self.event_rates.is_empty() || measured == 0 {
+        let measured_ttis = end.0.saturating_sub(self.warm_up_end.0);
+        if self.event_rates.is_empty() || measured_ttis == 0 {
             return alpha;
         }
         let (mut rate, mut from, mut sum) = (alpha, self.warm_up_end, 0.0);
@@ -229,7 +232,7 @@ impl Score {
             sum += rate * (until - from) as f64;
             (rate, from) = (next_rate, until);
         }
-        sum / measured as f64
+        sum / measured_ttis as f64
     }
 
     /// Records a wake-up of `bytes` bytes sent on the air in `tti`.
@@ -246,12 +249,12 @@ impl Score {
         self.count_control(tti, bytes);
     }
 
-    /// Records the outcome of the last recorded wake-up, which went to `device`; `is_far` if the device is farther than
-    /// d_max from the event.
+    /// Records the outcome of the last wake-up of [`Self::record_wake_up`], which went to `device`; `is_far` if the
+    /// device is farther than d_max from the event.
     pub fn record_wake_up_outcome(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
         self.digest.add_wake_up(tti, device, outcome);
         let is_measured = tti >= self.warm_up_end;
-        self.losses.wake_ups += u64::from(is_measured);
+        self.losses.sent_wake_ups += u64::from(is_measured);
         match outcome {
             WakeOutcome::Reported(report) => {
                 self.count_uplink(report);
@@ -272,7 +275,7 @@ impl Score {
                 self.count_wrong_activation(device, failure.drained_energy);
             }
             WakeOutcome::Late { spent, .. } => {
-                self.losses.late += u64::from(is_measured);
+                self.losses.late_wake_ups += u64::from(is_measured);
                 self.open_event().late_wake_ups += 1;
                 self.add_activity(device, EventActivity::WOKEN);
                 self.count_wrong_activation(device, *spent);
@@ -297,7 +300,7 @@ impl Score {
     pub fn record_event_end(&mut self, last: Tti, information: f64) -> EventRecord {
         let open = self.current.take().expect("an event is active");
         let OpenEvent {
-            event,
+            active_event,
             mut tally,
             wake_ups_until_last_report,
             ..
@@ -305,7 +308,7 @@ impl Score {
         // Whole 10⁻¹² units: integer sums over events do not depend on their order.
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.digest.add_event_end(last, &tally);
-        let ActiveEvent { stimulus, start, .. } = event;
+        let ActiveEvent { stimulus, start, .. } = active_event;
         let Stimulus { event, epicentre } = stimulus;
         let record = EventRecord {
             event,
@@ -341,13 +344,15 @@ impl Score {
     /// ids.
     pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> FinalScore {
         let totals = self.totals(end, ledgers);
-        let metrics = Metrics::from_totals(self.mean_event_rate(alpha, end), &totals);
+        let start_probability = self.mean_event_rate(alpha, end);
+        let metrics = Metrics::from_totals(start_probability, &totals);
         for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
             device.ledger = *ledger;
         }
         FinalScore {
             digest: self.digest.finish(ledgers, &totals),
             metrics,
+            start_probability,
             totals,
             devices: self.devices,
         }
@@ -359,7 +364,7 @@ impl Score {
     }
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
-        let measured = || ledgers.iter().map(|ledger| &ledger.measured);
+        let measured_totals = || ledgers.iter().map(|ledger| &ledger.measured);
         let removed_ttis = |removal: &DeviceRemoval| {
             // In TTI `tti` itself the devices still harvest and pay for δ, see `DeviceRemoval`.
             let first = self.warm_up_end.0.max(removal.tti.0 + 1);
@@ -374,14 +379,15 @@ impl Score {
             control: self.control,
             uplink: self.uplink,
             losses: self.losses,
-            energy: measured().copied().sum(),
-            spread: Spread::from_devices(measured()),
+            energy: measured_totals().copied().sum(),
+            spread: Spread::from_devices(measured_totals()),
             wake_up_span_ttis: self.wake_up_span_ttis,
             removed_ttis: self.removals.iter().map(removed_ttis).sum(),
         }
     }
 
-    /// Returns the first condition for a report of `open` that no device met.
+    /// Returns the first condition for a report of `open` that no device met, in the order of [`MissCause::ALL`]. The
+    /// last conditions are checked first.
     fn miss_cause(&self, open: &OpenEvent) -> MissCause {
         // Late wake-ups are wrong activations too; only the excess over them stands for devices that could not pay.
         if open.has_lost_report {
@@ -393,7 +399,7 @@ impl Score {
         } else if open.has_unpowered_detector {
             return MissCause::Unpowered;
         }
-        let ActiveEvent { stimulus, start, .. } = open.event;
+        let ActiveEvent { stimulus, start, .. } = open.active_event;
         let mut cause = MissCause::OutOfReach;
         for device in &self.devices {
             let d = device.position.distance(stimulus.epicentre);
@@ -452,7 +458,7 @@ impl Score {
 
     fn count_lost_report(&mut self, report: &Report) {
         self.open_event().has_lost_report = true;
-        self.losses.reports += u64::from(report.tti >= self.warm_up_end);
+        self.losses.lost_reports += u64::from(report.tti >= self.warm_up_end);
     }
 }
 

@@ -28,7 +28,7 @@ pub struct WindowAccumulator {
 }
 
 impl WindowAccumulator {
-    /// Starts from the devices' initial batteries.
+    /// Creates the accumulator before TTI 0, with the devices' initial batteries.
     pub fn new(deployment: &Deployment) -> Self {
         let initial: Energy = deployment.devices.iter().map(|d| d.energy.initial).sum();
         // The battery is set too: subtraction takes it as the initial level of the first window.
@@ -43,7 +43,8 @@ impl WindowAccumulator {
         }
     }
 
-    /// Closes a window at `k` with the sums over all devices and counted events; all TTIs before `k` have ended.
+    /// Closes a window at `k`, before which all TTIs have ended. `energy` and `events` are the sums from TTI 0 on: over
+    /// all devices, warm-up included, and over the counted events. No sum may be smaller than in the last call.
     pub fn close_window(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals) -> WindowRecord {
         let record = WindowRecord {
             first: self.first,

@@ -13,6 +13,8 @@ use super::barrier::{self, BareBarrier};
 use crate::child_process::Children;
 use crate::runtime::{CLIENT_WORKERS, SERVER_WORKERS, now, runtime};
 
+/// Name of the run on the bus; the processes of one benchmark agree on it.
+const RUN_NAME: &str = "bare";
 /// Rounds before the measurement, in which links and threads reach their usual state.
 const WARM_UP_ROUNDS: u32 = 20;
 
@@ -30,9 +32,9 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
     let runtime = runtime(SERVER_WORKERS)?;
     runtime.block_on(async {
         // Without access rules: the baseline is zenoh alone.
-        let bus = Bus::listen_open("tcp/127.0.0.1:0", "bare".parse()?).await?;
+        let bus = Bus::listen_open("tcp/127.0.0.1:0", RUN_NAME.parse()?).await?;
         let barrier = BareBarrier::new(&bus)?;
-        let alive = bus.declare_alive(bus.key_exprs().bs_liveliness())?;
+        let bs_alive = bus.declare_alive(bus.key_exprs().bs_liveliness())?;
         let children = start_hosts("zenoh", bus.endpoint(), hosts, sizes)?;
         let grant = vec![0; sizes.grant];
         // A host declares its liveliness token after it has subscribed: once all are seen, no grant is lost.
@@ -44,8 +46,8 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
             );
         }
         let rate = measure_rate(seconds, || barrier.round(&grant, hosts as usize))?;
-        // The hosts watch this liveliness token and leave when it disappears.
-        drop(alive);
+        // The hosts watch the liveliness token of the base station and leave when it disappears.
+        drop(bs_alive);
         children.wait();
         Ok(rate)
     })
@@ -79,7 +81,8 @@ pub(super) fn unix(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Re
     Ok(rate)
 }
 
-/// Runs one host in its own process. `kind` is `zenoh` or `unix`; the sizes are those in [`QuietTtiSizes`].
+/// Runs host `number` in its own process. `kind` is `zenoh`, or anything else for `unix`; the pair has the fields of
+/// [`QuietTtiSizes`], in bytes.
 pub(super) fn host(
     kind: &str,
     endpoint: &str,
@@ -88,7 +91,7 @@ pub(super) fn host(
 ) -> anyhow::Result<ExitCode> {
     if kind == "zenoh" {
         runtime(CLIENT_WORKERS)?.block_on(async {
-            let bus = Bus::connect(endpoint, "bare".parse()?, Duration::from_secs(30)).await?;
+            let bus = Bus::connect(endpoint, RUN_NAME.parse()?, Duration::from_secs(30)).await?;
             barrier::host(&bus, number, answer_size).await?;
             bus.close().await;
             anyhow::Ok(())
@@ -101,6 +104,7 @@ pub(super) fn host(
     Ok(ExitCode::SUCCESS)
 }
 
+/// Starts `hosts` processes that call [`host`].
 fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: QuietTtiSizes) -> anyhow::Result<Children> {
     let (sizes, parent) = (
         format!("{},{}", sizes.grant, sizes.answer),
@@ -121,6 +125,7 @@ fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: QuietTtiSizes) -> 
     }))
 }
 
+/// Returns the rounds per second over at least `seconds`, after the warm-up.
 fn measure_rate(seconds: f64, mut round: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     for _ in 0..WARM_UP_ROUNDS {
         round()?;

@@ -44,10 +44,10 @@ impl BareBarrier {
         })
     }
 
-    /// Runs one round: publishes `grant` and waits for `hosts` answers.
+    /// Runs one round: publishes `grant` and waits for `hosts` answers. All hosts must have subscribed before.
     ///
     /// # Errors
-    /// If an answer is missing.
+    /// If an answer is missing after [`ANSWER_TIMEOUT`], or zenoh refuses.
     pub(super) fn round(&self, grant: &[u8], hosts: usize) -> anyhow::Result<()> {
         let (lock, all_answered) = &*self.unanswered;
         // Set before the grant goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
@@ -71,19 +71,19 @@ pub(super) async fn host(bus: &Bus, number: u32, answer_size: usize) -> Result<(
     let answers = bus.publisher_raw(key(bus, &format!("answer/{number}")))?;
     let payload = vec![0_u8; answer_size];
     let _grants = bus.subscribe_raw(key(bus, "grant"), move |_| {
-        // A failed send means that the base station has ended; `_watch` notices that too.
-        let _gone = answers.put(&payload).is_err();
+        // A failed send means that the base station has ended; `_bs_watch` notices that too.
+        let _bs_ended = answers.put(&payload).is_err();
     })?;
     let credential = HostCredential {
         host: HostId(number),
         token: Secret::new([0; 16]),
     };
     // Liveliness comes last: the base station sends the first grant as soon as it sees all hosts alive.
-    let _here = bus.declare_alive(bus.key_exprs().host_liveliness(credential))?;
+    let _host_alive = bus.declare_alive(bus.key_exprs().host_liveliness(credential))?;
     let bs_ended = Arc::new(tokio::sync::Notify::new());
     let end_notifier = Arc::clone(&bs_ended);
-    let _watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
-        if !alive {
+    let _bs_watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, is_alive| {
+        if !is_alive {
             end_notifier.notify_one();
         }
     })?;
@@ -91,6 +91,7 @@ pub(super) async fn host(bus: &Bus, number: u32, answer_size: usize) -> Result<(
     Ok(())
 }
 
+/// Returns a key of the bare barrier in the run of `bus`.
 fn key(bus: &Bus, suffix: &str) -> String {
     format!("reveille/{}/bare/{suffix}", bus.key_exprs().run())
 }

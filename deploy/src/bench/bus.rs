@@ -17,19 +17,21 @@ use crate::runtime::median;
 /// Devices of the measured runs, unless there are more processes.
 const DEFAULT_DEVICES: u32 = 50;
 
-/// One repetition of one row. The first five fields are rates: TTIs, or rounds of a bare barrier, per second.
+/// One repetition of one row. Rates are TTIs, or rounds of a bare barrier, per second.
 struct BusSample {
     /// A bare barrier over zenoh.
-    bare: f64,
+    bare_rate: f64,
     /// A barrier over unix sockets.
-    unix: f64,
+    unix_rate: f64,
     /// The emulator without lookahead.
-    stepped: f64,
+    stepped_rate: f64,
     /// The emulator without lookahead, with untuned device processes.
-    untuned: f64,
+    untuned_rate: f64,
     /// The emulator with lookahead.
-    lookahead: f64,
+    lookahead_rate: f64,
+    /// Seconds of the run without lookahead before its first TTI: preparation and joins.
     ready_s: f64,
+    /// Mean memory of its device processes: resident set size, and proportional set size.
     rss_mb: f64,
     pss_mb: f64,
 }
@@ -71,14 +73,14 @@ pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
         display::print_stdout(&format!(
             "{processes:>9} {devices:>8} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>8.2} \
              {:>8.2} {:>8.1} {:>8.1}\n",
-            median_of(|s| s.unix),
-            median_of(|s| s.bare),
-            median_of(|s| s.stepped / s.bare),
-            median_of(|s| s.stepped),
-            median_of(|s| s.untuned),
-            median_of(|s| s.stepped / s.untuned),
-            median_of(|s| s.lookahead),
-            median_of(|s| s.lookahead / s.stepped),
+            median_of(|s| s.unix_rate),
+            median_of(|s| s.bare_rate),
+            median_of(|s| s.stepped_rate / s.bare_rate),
+            median_of(|s| s.stepped_rate),
+            median_of(|s| s.untuned_rate),
+            median_of(|s| s.stepped_rate / s.untuned_rate),
+            median_of(|s| s.lookahead_rate),
+            median_of(|s| s.lookahead_rate / s.stepped_rate),
             median_of(|s| s.ready_s),
             median_of(|s| s.rss_mb),
             median_of(|s| s.pss_mb),
@@ -95,7 +97,7 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
         first: tti,
         last: tti,
         stimulus: None,
-        until: Tti::ZERO,
+        stimulus_last: Tti::ZERO,
         wants_totals: false,
         wants_views: false,
         plan_from: Tti::ZERO,
@@ -118,9 +120,9 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
 }
 
 fn measure(processes: u32, devices: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Result<BusSample> {
-    let bare = bare::zenoh(processes, sizes, seconds)?;
+    let bare_rate = bare::zenoh(processes, sizes, seconds)?;
     // The emulator reaches most of the bare rate, so the run takes about `seconds`.
-    let ttis = ((bare * seconds * 0.8) as u64).clamp(500, 1_000_000);
+    let ttis = ((bare_rate * seconds * 0.8) as u64).clamp(500, 1_000_000);
     let run_emulator = |ttis: u64, extra: &[&str]| {
         let numbers = [devices.to_string(), ttis.to_string(), processes.to_string()];
         let [devices, ttis, processes] = &numbers;
@@ -130,16 +132,16 @@ fn measure(processes: u32, devices: u32, sizes: QuietTtiSizes, seconds: f64) -> 
     };
     let stepped = run_emulator(ttis, &["--no-lookahead"])?;
     let untuned = run_emulator(ttis, &["--no-lookahead", "--untuned"])?;
-    let unix = bare::unix(processes, sizes, seconds.min(1.0))?;
+    let unix_rate = bare::unix(processes, sizes, seconds.min(1.0))?;
     // With lookahead the emulator is several times as fast; a longer run keeps the measured time similar.
     let lookahead = run_emulator(ttis * 3, &[])?;
     let timing = |run: &Value, field: &str| run["timing"][field].as_f64().unwrap_or(f64::NAN);
     Ok(BusSample {
-        bare,
-        unix,
-        stepped: timing(&stepped, "ttis_per_s"),
-        untuned: timing(&untuned, "ttis_per_s"),
-        lookahead: timing(&lookahead, "ttis_per_s"),
+        bare_rate,
+        unix_rate,
+        stepped_rate: timing(&stepped, "ttis_per_s"),
+        untuned_rate: timing(&untuned, "ttis_per_s"),
+        lookahead_rate: timing(&lookahead, "ttis_per_s"),
         ready_s: timing(&stepped, "ready_s"),
         rss_mb: timing(&stepped, "host_rss_mb"),
         pss_mb: timing(&stepped, "host_pss_mb"),

@@ -34,7 +34,7 @@ pub(super) fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
     let preparer = RunPreparer::default();
     for policy in &args.policies {
         for devices in &args.devices {
-            let scenario = scenario(args, policy, *devices)?;
+            let scenario = load_scenario(args, policy, *devices)?;
             let rates = (0..REPETITIONS)
                 .map(|_| {
                     let started = now();
@@ -53,7 +53,8 @@ pub(super) fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn scenario(args: &MemoryBenchArgs, policy: &str, devices: u32) -> anyhow::Result<Scenario> {
+/// Loads the preset `paper` with the options of the benchmark.
+fn load_scenario(args: &MemoryBenchArgs, policy: &str, devices: u32) -> anyhow::Result<Scenario> {
     let mut overrides = vec![
         Override::from_flag("a policy of --policies", "policy.name", policy)?,
         Override::from_flag("--devices", "devices", &devices.to_string())?,

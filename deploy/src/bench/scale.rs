@@ -18,7 +18,9 @@ const NANOS_PER_SECOND: f64 = 1e9;
 
 /// One repetition of one row: the summaries of the same run in each mode.
 struct ScaleSample {
+    /// In memory.
     memory: Value,
+    /// Over the bus, with lookahead.
     bus: Value,
     /// Over the bus without lookahead.
     stepped: Value,
@@ -59,15 +61,15 @@ pub(super) fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
         anyhow::ensure!(is_same, "the runs with {devices} devices have different digests");
         let median_of = |value: fn(&ScaleSample) -> f64| median(samples.iter().map(value).collect());
         let rates = [
-            median_of(|s| rate(&s.memory)),
-            median_of(|s| rate(&s.bus)),
-            median_of(|s| rate(&s.stepped)),
+            median_of(|s| ttis_per_s(&s.memory)),
+            median_of(|s| ttis_per_s(&s.bus)),
+            median_of(|s| ttis_per_s(&s.stepped)),
         ];
         let ready = median_of(|s| timing(&s.stepped, "ready_s"));
         display::print_stdout(&format!("{devices:>8} {processes:>9} {ready:>8.2}"))?;
         for rate in rates {
-            let cost = NANOS_PER_SECOND / (rate * f64::from(devices));
-            display::print_stdout(&format!(" {rate:>10.0} {cost:>9.1}"))?;
+            let nanos = NANOS_PER_SECOND / (rate * f64::from(devices));
+            display::print_stdout(&format!(" {rate:>10.0} {nanos:>9.1}"))?;
         }
         display::print_stdout(&format!("  {}\n", digest.as_str().unwrap_or_default()))?;
     }
@@ -91,10 +93,11 @@ fn measure(args: &ScaleBenchArgs, devices: u32, processes: u32) -> anyhow::Resul
     })
 }
 
-fn rate(run: &Value) -> f64 {
+fn ttis_per_s(run: &Value) -> f64 {
     timing(run, "ttis_per_s")
 }
 
+/// Returns a field of `timing` in the summary of `run`; NaN if it is absent.
 fn timing(run: &Value, field: &str) -> f64 {
     run["timing"][field].as_f64().unwrap_or(f64::NAN)
 }

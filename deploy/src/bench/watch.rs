@@ -63,7 +63,7 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
             pairs.push(pair);
         }
         let median_of = |value: fn(&[MeasuredRun; 2]) -> f64| median(pairs.iter().map(value).collect());
-        let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
+        let is_same = pairs.iter().flatten().all(|run| run.digest == pairs[0][0].digest);
         anyhow::ensure!(is_same, "the runs with and without observers have different digests");
         display::print_stdout(&format!(
             "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
@@ -114,7 +114,7 @@ fn measure_run(args: &WatchBenchArgs, lookahead: bool, is_observed: bool) -> any
         0
     };
     let summary = run_and_read(&mut command, args.browsers, expected_readers)?;
-    let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
+    let recorded_bytes = std::fs::metadata(&recording).map_or(0, |file| file.len());
     std::fs::remove_dir_all(&folder)?;
     Ok(MeasuredRun {
         ttis_per_s: summary["timing"]["ttis_per_s"]
@@ -124,7 +124,7 @@ fn measure_run(args: &WatchBenchArgs, lookahead: bool, is_observed: bool) -> any
             .as_str()
             .context("the summary has no digest")?
             .to_owned(),
-        recorded_mb: recorded as f64 / 1e6,
+        recorded_mb: recorded_bytes as f64 / 1e6,
     })
 }
 
@@ -134,31 +134,32 @@ fn measure_run(args: &WatchBenchArgs, lookahead: bool, is_observed: bool) -> any
 /// If the run fails, or not exactly `expected_readers` readers received a successful answer.
 fn run_and_read(command: &mut Command, browsers: u32, expected_readers: usize) -> anyhow::Result<Value> {
     let mut run = command.spawn().context("cannot start reveille up")?;
-    let (out, err) = (run.stdout.take(), run.stderr.take());
+    let (stdout, stderr) = (run.stdout.take(), run.stderr.take());
     let is_over = Arc::new(AtomicBool::new(false));
     let summary_text = std::thread::scope(|scope| {
         // A thread reads standard error during the run: it contains the addresses, and a full pipe would block the run.
-        let stderr_thread = scope.spawn(|| follow_stderr(scope, err.into_iter().flat_map(lines), browsers, &is_over));
-        let mut text = String::new();
+        let stderr_thread =
+            scope.spawn(|| follow_stderr(scope, stderr.into_iter().flat_map(read_lines), browsers, &is_over));
+        let mut stdout_text = String::new();
         // Read to the end before `wait`: the summary can be longer than a pipe holds.
-        let read = out.map_or(Ok(0), |mut out| out.read_to_string(&mut text));
-        let ended = run.wait();
+        let read_result = stdout.map_or(Ok(0), |mut stdout| stdout.read_to_string(&mut stdout_text));
+        let wait_result = run.wait();
         // Set before the join: readers of endless answers stop only at this flag.
         is_over.store(true, Ordering::Relaxed);
         let (stderr_text, readers) = stderr_thread.join().unwrap_or_default();
-        let status = ended?;
-        read?;
+        let status = wait_result?;
+        read_result?;
         anyhow::ensure!(status.success(), "reveille up: {stderr_text}");
         anyhow::ensure!(
             readers == expected_readers,
             "{readers} of {expected_readers} observers could read the run; its output was: {stderr_text}"
         );
-        Ok(text)
+        Ok(stdout_text)
     })?;
     Ok(serde_json::from_str(&summary_text)?)
 }
 
-fn lines(read: impl Read) -> impl Iterator<Item = String> {
+fn read_lines(read: impl Read) -> impl Iterator<Item = String> {
     BufReader::new(read).lines().map_while(Result::ok)
 }
 

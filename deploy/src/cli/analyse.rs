@@ -1,5 +1,6 @@
 //! Options of `reveille analyse`, which `commands/analyse/` executes. Names of options are a public interface (see
-//! `cli`).
+//! `cli`). The range of `--seeds` repeats `MAX_SEEDS` of `study/src/analysis/mod.rs`. The help of `--readings` lists
+//! the readings by hand, and the help of `battery --ttis` states the warm-up of `commands/analyse/battery.rs`.
 
 use std::path::PathBuf;
 
@@ -212,7 +213,7 @@ pub(crate) struct RuntimeArgs {
     )]
     pub devices: String,
     /// Policies to time, separated by commas.
-    #[arg(long, short, alias = "policy", default_value_t = registry::names_where(|_| true))]
+    #[arg(long, short, alias = "policy", default_value_t = registry::comma_separated_names(|_| true))]
     pub policies: String,
     /// Length of a timed run in TTIs.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]

@@ -1,7 +1,9 @@
 //! The examples at the end of each command's help. Tests here check each help (its first sentence, two examples that
-//! parse) and the refusals of number options, whose types `is_number` lists.
+//! parse) and the refusals of number options, whose types `is_number` lists. Lower bounds on counts in tests only
+//! ensure that the loops find commands and options.
 
-/// Returns the last part of a command's help: two commands that work as they are written.
+/// Returns the last part of a command's help: two commands that work as they are written. Every visible command needs
+/// it as its `after_help`.
 macro_rules! examples {
     ($first:literal, $second:literal $(,)?) => {
         concat!("Examples:\n  ", $first, "\n  ", $second)
@@ -93,8 +95,8 @@ mod tests {
 
     /// Whether the values of `arg` are numbers.
     fn is_number(arg: &Arg) -> bool {
-        let kind = arg.get_value_parser().type_id();
-        let numbers = [
+        let value_type = arg.get_value_parser().type_id();
+        let number_types = [
             TypeId::of::<u16>(),
             TypeId::of::<u32>(),
             TypeId::of::<u64>(),
@@ -104,29 +106,29 @@ mod tests {
             TypeId::of::<i64>(),
             TypeId::of::<f64>(),
         ];
-        arg.get_action().takes_values() && numbers.iter().any(|number| kind == *number)
+        arg.get_action().takes_values() && number_types.iter().any(|number_type| value_type == *number_type)
     }
 
     #[test]
     fn an_invalid_number_is_refused_with_the_allowed_numbers() {
         let mut option_count = 0;
         for (words, command) in commands() {
-            let numbers = command
+            let number_args = command
                 .get_arguments()
                 .filter(|arg| is_number(arg) && !arg.is_hide_set());
-            for arg in numbers {
+            for arg in number_args {
                 option_count += 1;
                 let option = arg.get_long().map(|long| format!("--{long}"));
-                let no_number = match &option {
+                let invalid_argument = match &option {
                     Some(option) => format!("{option}=many"),
                     None => "many".to_owned(),
                 };
-                let line: Vec<String> = words.iter().cloned().chain([no_number]).collect();
+                let line: Vec<String> = words.iter().cloned().chain([invalid_argument]).collect();
                 let refusal = Cli::command().try_get_matches_from(&line).map(drop);
                 let refusal = refusal.expect_err("no number").to_string();
                 let allowed = ["must be a whole number from ", "must be a number"];
-                let names_allowed = allowed.iter().any(|text| refusal.contains(text));
-                assert!(names_allowed, "{}: {refusal}", line.join(" "));
+                let names_allowed_numbers = allowed.iter().any(|text| refusal.contains(text));
+                assert!(names_allowed_numbers, "{}: {refusal}", line.join(" "));
                 // A negative number must not be read as an option.
                 let negative = option.into_iter().chain(["-5".to_owned()]);
                 let line: Vec<String> = words.iter().cloned().chain(negative).collect();

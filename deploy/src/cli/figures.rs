@@ -1,5 +1,6 @@
 //! Options of `reveille figures`, which `commands/figures.rs` executes. A new figure needs its name in the help of
-//! `--only`, which lists the names by hand. Names of options are a public interface (see `cli`).
+//! `--only`, which lists the names by hand. Limits and defaults in other help texts, such as at most 8 devices, repeat
+//! constants of `study/src/figures/`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 
@@ -301,7 +302,7 @@ pub(crate) struct RobustnessArgs {
     pub pictures: FigureOutputArgs,
 }
 
-/// The names of the figures over a whole study that `study::PAPER_FIGURES` does not list.
+/// The names of the figures over a whole study that `study::PAPER_FIGURES` does not list. `--only` accepts them.
 pub(crate) fn other_figures() -> [&'static str; 5] {
     let ([harvest, net], [pareto, delay]) = (energy::NAMES, pareto::TRADE_OFFS.map(|trade| trade.name));
     [harvest, net, pareto, delay, front::NAME]

@@ -39,7 +39,7 @@ const RENAMED_VALUES: [(&str, &str, CurrentName); 3] = [
     ("sweep", "--ci-metrics", Metrics::current_name),
 ];
 
-/// Replaces former names in the command line `args`, and returns it with a warning for each.
+/// Replaces former names in the command line `args`, the program first, and returns it with a warning for each.
 pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
     let mut args: Vec<OsString> = args.into_iter().collect();
     let mut warnings = Vec::new();
@@ -47,35 +47,37 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
         format!("{former} is now called {current}; the former name will be removed in a later version")
     };
     for (command, former, current) in RENAMED_OPTIONS {
-        for at in argument_range(&args, command) {
-            let Some(text) = args[at].to_str() else { continue };
+        for index in argument_range(&args, command) {
+            let Some(text) = args[index].to_str() else { continue };
             let (name, value) = text.split_at(text.find('=').unwrap_or(text.len()));
             if name == former {
-                args[at] = format!("{current}{value}").into();
+                args[index] = format!("{current}{value}").into();
                 warnings.push(warning(former, current));
             }
         }
     }
     for (command, option, current_name) in RENAMED_VALUES {
-        for at in argument_range(&args, command) {
-            let Some(text) = args[at].to_str() else { continue };
+        for index in argument_range(&args, command) {
+            let Some(text) = args[index].to_str() else { continue };
             let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
-            let value = value.or_else(|| (args[at - 1] == option).then_some(text));
+            let value = value.or_else(|| (args[index - 1] == option).then_some(text));
             let Some(list) = value else { continue };
             let items = || list.split(',').map(str::trim);
-            let current: Vec<&str> = items().map(current_name).collect();
-            let renamed = items().zip(&current).filter(|(former, current)| former != *current);
+            let current_items: Vec<&str> = items().map(current_name).collect();
+            let renamed = items()
+                .zip(&current_items)
+                .filter(|(former, current)| former != *current);
             warnings.extend(renamed.map(|(former, current)| warning(former, current)));
-            args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
+            args[index] = format!("{}{}", &text[..text.len() - list.len()], current_items.join(",")).into();
         }
     }
     for (command, option, argument) in OPTIONS_NOW_ARGUMENTS {
-        for at in argument_range(&args, command).rev() {
-            let Some(text) = args[at].to_str() else { continue };
+        for index in argument_range(&args, command).rev() {
+            let Some(text) = args[index].to_str() else { continue };
             let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
             match value.map(OsString::from) {
-                Some(value) => args[at] = value,
-                None if text == option => drop(args.remove(at)),
+                Some(value) => args[index] = value,
+                None if text == option => drop(args.remove(index)),
                 None => continue,
             }
             warnings.push(format!(
@@ -85,17 +87,17 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
     }
     // Last, since it moves the words of the command, which the loops above look for.
     for (former, current, options) in RENAMED_COMMANDS {
-        let words = command_words(&args, former);
-        if let [before @ .., last] = &words[..] {
-            let name = std::iter::once(current)
+        let positions = command_word_positions(&args, former);
+        if let [before @ .., last] = &positions[..] {
+            let current_words = std::iter::once(current)
                 .chain(options.iter().copied())
                 .map(OsString::from);
-            args.splice(*last..=*last, name);
-            for at in before.iter().rev() {
-                args.remove(*at);
+            args.splice(*last..=*last, current_words);
+            for index in before.iter().rev() {
+                args.remove(*index);
             }
-            let current = [&[current], options].concat().join(" ");
-            warnings.push(warning(&format!("`{former}`"), &format!("`{current}`")));
+            let replacement = [&[current], options].concat().join(" ");
+            warnings.push(warning(&format!("`{former}`"), &format!("`{replacement}`")));
         }
     }
     (args, warnings)
@@ -103,30 +105,30 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
 
 /// Returns the positions of the arguments of `command`; empty if `args` call another command.
 fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
-    command_words(args, command)
+    command_word_positions(args, command)
         .last()
         .map_or(0..0, |last| last + 1..args.len())
 }
 
 /// Returns the positions of the words of `command` in `args`; empty if `args` call another command.
-fn command_words(args: &[OsString], command: &str) -> Vec<usize> {
-    // Global options may precede each word of the command. Only `--log-format` takes a value (`Cli`).
-    let is_global = |at: usize| {
-        let is_value = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
-        is_value || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))
+fn command_word_positions(args: &[OsString], command: &str) -> Vec<usize> {
+    // Global options may precede each word of the command. Of those in `Cli`, only `--log-format` takes a value.
+    let is_global = |index: usize| {
+        let is_value = args.get(index - 1).is_some_and(|arg| arg == "--log-format");
+        is_value || args[index].to_str().is_some_and(|arg| arg.starts_with('-'))
     };
-    let (mut at, mut words) = (1, Vec::new());
+    let (mut index, mut positions) = (1, Vec::new());
     for word in command.split(' ') {
-        while at < args.len() && is_global(at) {
-            at += 1;
+        while index < args.len() && is_global(index) {
+            index += 1;
         }
-        if args.get(at).is_none_or(|arg| arg != word) {
+        if args.get(index).is_none_or(|arg| arg != word) {
             return Vec::new();
         }
-        words.push(at);
-        at += 1;
+        positions.push(index);
+        index += 1;
     }
-    words
+    positions
 }
 
 #[cfg(test)]

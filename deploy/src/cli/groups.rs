@@ -1,5 +1,5 @@
-//! The top-level help, which lists the commands by purpose. clap groups options, but not commands. A test checks that
-//! every command is in exactly one group.
+//! The top-level help of [`super::Cli`], which lists the commands by purpose. clap groups options, but not commands. A
+//! test checks that every visible command is in exactly one group.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use crate::display::{WIDTH, wrap_text};
 
 /// Columns for the name of a command in the list, with the indent of two.
 const NAME_WIDTH: usize = 13;
-/// Help of the command that clap adds.
+/// Help of `help`, the command that clap adds.
 const HELP_ABOUT: &str = "Print this message or the help of a command";
 
 /// The title of each group, and its commands.
@@ -31,12 +31,12 @@ pub(super) fn help_template() -> String {
     for (title, names) in GROUPS {
         let _infallible = writeln!(text, "\n{header}{title}:{header:#}");
         for name in names {
-            let about = program.find_subcommand(name).and_then(Command::get_about);
-            let about = about.map_or_else(|| HELP_ABOUT.to_owned(), ToString::to_string);
-            let about = wrap_text(&about, WIDTH - NAME_WIDTH).replace('\n', &format!("\n{:NAME_WIDTH$}", ""));
+            let styled_about = program.find_subcommand(name).and_then(Command::get_about);
+            let about = styled_about.map_or_else(|| HELP_ABOUT.to_owned(), ToString::to_string);
+            let wrapped_about = wrap_text(&about, WIDTH - NAME_WIDTH).replace('\n', &format!("\n{:NAME_WIDTH$}", ""));
             let _infallible = writeln!(
                 text,
-                "  {literal}{name:<width$}{literal:#}{about}",
+                "  {literal}{name:<width$}{literal:#}{wrapped_about}",
                 width = NAME_WIDTH - 2
             );
         }

@@ -1,4 +1,6 @@
-//! Options of `reveille inspect` and `reveille dashboard`. Names of options are a public interface (see `cli`).
+//! Options of `reveille inspect` and `reveille dashboard`, which `commands/inspect/` and `commands/dashboard.rs`
+//! execute. Names of options are a public interface (see `cli`); `cli/run.rs` repeats the default address of the
+//! dashboard.
 
 use std::path::PathBuf;
 

@@ -10,10 +10,11 @@ use clap::{Arg, Command, Error};
 
 /// The commands of a run. For an option of several of them, other commands are not named.
 const RUN_COMMANDS: [&str; 4] = ["up", "run", "bs", "device"];
-/// Most subcommands that the error names. A more common option is better found in `--help`.
+/// Maximum number of subcommands that the error names. A more common option is better found in `--help`.
 const MAX_NAMED: usize = 4;
 
-/// The command, options that it lacks (none listed: any option), and why it lacks them.
+/// The command, options that it lacks (none listed: any option), and why it lacks them. The first matching entry
+/// applies. A new option of one of [`RUN_COMMANDS`] may need an entry for the others.
 const REASONS: [(&str, &[&str], &str); 7] = [
     ("run", &["pace", "paused"], "runs without a clock"),
     (
@@ -63,7 +64,7 @@ pub(crate) fn explain_misplaced(mut error: Error, mut program: Command, args: &[
         return error;
     };
     let words = called_words(&program, args);
-    let Some(hint) = hint(&program, &words, given) else {
+    let Some(hint) = compose_hint(&program, &words, given) else {
         return error;
     };
     error.remove(ContextKind::SuggestedArg);
@@ -97,12 +98,12 @@ fn called_words(program: &Command, args: &[OsString]) -> Vec<String> {
     words
 }
 
-/// Returns the text that names the subcommands with the option `given`; `None` without such subcommands, or if they are
-/// many.
-fn hint(program: &Command, words: &[String], given: &str) -> Option<String> {
+/// Returns the text that names the subcommands with the option `given`; `None` without such subcommands, or if there
+/// are more than [`MAX_NAMED`].
+fn compose_hint(program: &Command, command_words: &[String], given: &str) -> Option<String> {
     let given = given.split('=').next()?;
-    let mut owners = owners(program, "", given);
-    let called = words.join(" ");
+    let mut owners = find_owners(program, "", given);
+    let called = command_words.join(" ");
     if RUN_COMMANDS.contains(&&*called) {
         let is_of_run = |(words, _): &(String, String)| RUN_COMMANDS.contains(&&**words);
         if owners.iter().any(is_of_run) {
@@ -116,7 +117,7 @@ fn hint(program: &Command, words: &[String], given: &str) -> Option<String> {
         format!("`{given}` (`--{long}`)")
     };
     let quoted: Vec<String> = owners.iter().map(|(words, _)| format!("`{words}`")).collect();
-    let owners = match &quoted[..] {
+    let owner_list = match &quoted[..] {
         [before @ .., last] if !before.is_empty() => format!("{} and {last}", before.join(", ")),
         _ => quoted.concat(),
     };
@@ -126,14 +127,14 @@ fn hint(program: &Command, words: &[String], given: &str) -> Option<String> {
         .find(|(command, options, _)| *command == called && applies(options))
         .map(|(command, _, reason)| format!("; `{command}` {reason}"));
     Some(format!(
-        "{label} is an option of {owners}{}",
+        "{label} is an option of {owner_list}{}",
         reason.unwrap_or_default()
     ))
 }
 
 /// Returns the visible subcommands below `command` that have the option `given`: the words of each, and the long name
 /// of the option.
-fn owners(command: &Command, words: &str, given: &str) -> Vec<(String, String)> {
+fn find_owners(command: &Command, words: &str, given: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         let words = format!("{words} {}", below.get_name()).trim_start().to_owned();
@@ -143,7 +144,7 @@ fn owners(command: &Command, words: &str, given: &str) -> Vec<(String, String)> 
                 .and_then(Arg::get_long)
                 .map(|long| (words.clone(), long.to_owned())),
         );
-        found.extend(owners(below, &words, given));
+        found.extend(find_owners(below, &words, given));
     }
     found
 }

@@ -1,7 +1,7 @@
 //! The command line: commands, options and help, declared with clap, one file per group of commands. The modules of
 //! `commands` execute them. Names of options and values are a public interface: a renamed one needs an entry in
-//! `former`, a new command one in `groups`, and a global option with a value one in `former::command_words`. Tests
-//! check that every help has two valid examples (`examples`).
+//! `former`, a new command one in `groups`, and a global option with a value one in `former::command_word_positions`.
+//! Tests check that every help has two valid examples (`examples`).
 
 mod analyse;
 mod compare;
@@ -49,7 +49,7 @@ pub(crate) use tools::{
 };
 #[cfg(feature = "train-dt")]
 pub(crate) use train::DtArgs;
-pub(crate) use train::{RecordArgs, TrainArgs, TrainCommand};
+pub(crate) use train::{QLearningArgs, RecordArgs, TrainCommand};
 #[cfg(feature = "tune")]
 pub(crate) use tune::ObjectiveArg;
 pub(crate) use tune::TuneArgs;
@@ -78,7 +78,7 @@ fn after_help() -> String {
 }
 
 impl Cli {
-    /// Returns the logging options to pass to child processes.
+    /// Returns the logging options to pass to child processes. A new global option for logging belongs here too.
     pub(crate) fn log_options(&self) -> Vec<String> {
         let format = match self.log_format {
             LogFormatArg::Text => "text",

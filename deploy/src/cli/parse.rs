@@ -1,5 +1,5 @@
 //! Parsers for values on the command line, and help texts that list registered names. The error of a parser lists the
-//! allowed values; `cli/tests/` compares the wording.
+//! allowed values; `cli/tests/`, `cli/examples.rs` and `tests/program/` compare the wording.
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -15,7 +15,7 @@ use reveille_common::message::{MessageKind, Pace};
 use reveille_common::score::Metrics;
 use reveille_view::filter::StateName;
 
-/// The durations that are accepted.
+/// The durations that [`parse_duration`] accepts.
 const DURATION_HELP: &str = "a time from 1us to 1000000s in us, ms, s, m, h and d, such as 500us, 1.5s, 1m30s or 1h";
 
 /// Help for an option that names a policy.
@@ -131,13 +131,15 @@ where
     }
 }
 
-/// Like [`whole`], but accepts numbers outside `range`, for an option whose command checks the range itself.
+/// Like [`whole`], but accepts numbers outside `range`, for an option whose command checks the range itself. `range` is
+/// only for the error, and must equal the range that the command checks.
 pub(super) fn any_whole<T>(
     range: RangeInclusive<T>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
 where
     T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
 {
+    // Only called with text that does not parse, which it refuses.
     let refuse = whole(range);
     move |text| text.trim().parse().or_else(|_| refuse(text))
 }

@@ -1,5 +1,5 @@
-//! Options of `reveille report`, including the search over conditions that the paper leaves unstated. Names of options
-//! are a public interface (see `cli`).
+//! Options of `reveille report`, including the search over conditions that the paper leaves unstated.
+//! `commands/report.rs` executes it. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

@@ -1,7 +1,8 @@
 //! Options of the commands that run a scenario. `docs/command-line.md` must list every visible option of `up`, `run`,
 //! `bs` and `device`; `cli/tests/option_table.rs` checks this. `child_process`, `policy_process` and `bench` write
 //! the hidden ones. `cli/inspect.rs` repeats the address of `--dashboard`; the help of `ExternalPolicyArgs` repeats
-//! constants of `bs/src/server/policy_port/mod.rs`.
+//! constants of `bs/src/server/policy_port/mod.rs`. Other help texts repeat `MAIN_METRICS` (`results_table.rs`),
+//! `MARK_INTERVAL` (`resume_mark.rs`) and the share of time of `--audit auto` (`audit.rs`).
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -55,7 +56,7 @@ pub(crate) struct ScenarioArgs {
 }
 
 impl ScenarioArgs {
-    /// Whether the command line sets any of these options.
+    /// Whether the command line sets any of these options to a value other than the default.
     pub(crate) fn is_given(&self) -> bool {
         let Self {
             scenario,
@@ -184,7 +185,7 @@ pub(crate) struct RunArgs {
     pub input_log: Option<PathBuf>,
 }
 
-/// Options for the clock, lost processes, the audit and the dashboard.
+/// Options for driving a run over the bus: clock, lost processes, audit, dashboard and policy process.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct DriveArgs {
     /// Real time per TTI, for example 10ms; `max` runs as fast as possible.

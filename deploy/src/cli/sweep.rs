@@ -1,5 +1,6 @@
-//! Options of `reveille sweep` and `reveille merge`; `train record` takes [`GridArgs`] too, and refers to the group by
-//! the name of this type. Names of options are a public interface (see `cli`).
+//! Options of `reveille sweep` and `reveille merge`, which `commands/sweep/` and `commands/merge.rs` execute. `train
+//! record` takes [`GridArgs`] too, and refers to the group by the name of this type. Defaults in its help texts repeat
+//! `lab/src/sweep/experiment_builder.rs`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 
@@ -189,14 +190,14 @@ impl From<TableFormatArg> for Format {
     }
 }
 
-/// Returns the help text of `--ci-metrics`.
+/// Returns the help text of `--ci-metrics`. Its default is `UntilCi::default_metrics` in `lab/src/sweep/experiment.rs`.
 fn ci_metrics_help() -> String {
     let names = Metrics::ALL.map(|metric| metric.name).join(", ");
     let differences = Metrics::ALL.into_iter().filter(|metric| metric.is_difference);
-    let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
+    let difference_names: Vec<&str> = differences.map(|metric| metric.name).collect();
     format!(
         "Metrics that --until-ci checks, separated by commas: {names} [default: all defined metrics except events, \
          and except {} because its mean can be 0]",
-        differences.join(", ")
+        difference_names.join(", ")
     )
 }

@@ -1,5 +1,7 @@
-//! Options of `reveille scenario`, `reveille clock` and `reveille bench`. Names of options are a public interface (see
-//! `cli`). `bench/bare.rs` writes the arguments of the hidden `bench bare-host`.
+//! Options of `reveille scenario`, `reveille clock` and `reveille bench`, which `commands/scenario.rs`,
+//! `commands/clock.rs` and `bench/` execute. Names of options are a public interface (see `cli`). `bench/bare.rs`
+//! writes the arguments of the hidden `bench bare-host`. The helps of `--keep-density` repeat `REFERENCE_DEVICES` of
+//! `bench/scale.rs` and `bench/memory.rs`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -85,12 +87,12 @@ pub(crate) struct ClockArgs {
     pub target: TargetArgs,
     /// The clock command.
     #[command(subcommand)]
-    pub command: ClockAction,
+    pub command: ClockSubcommand,
 }
 
-/// Clock commands.
+/// Subcommands of `reveille clock`.
 #[derive(Subcommand, Clone)]
-pub(crate) enum ClockAction {
+pub(crate) enum ClockSubcommand {
     /// Pause the run before its next time slot (TTI)
     ///
     /// The command returns when the open TTI is closed, or reports after 2 s that it is still open.
@@ -145,8 +147,8 @@ pub(crate) enum ClockAction {
     Status,
 }
 
-impl ClockAction {
-    /// Whether the command returns only after the clock has paused.
+impl ClockSubcommand {
+    /// Whether the command returns only after the clock has paused or the run has ended.
     pub(crate) const fn waits(&self) -> bool {
         match self {
             Self::Step { wait, .. } | Self::RunTo { wait, .. } => *wait,
@@ -154,11 +156,11 @@ impl ClockAction {
         }
     }
 
-    /// The command for the clock, or the action on the run.
+    /// Returns the command to send to the clock.
     ///
     /// # Errors
-    /// The action, if it is one.
-    pub(crate) fn command(&self) -> Result<ClockCommand, &ActArgs> {
+    /// The arguments of `act`, which is an action on the run and not a command.
+    pub(crate) fn clock_command(&self) -> Result<ClockCommand, &ActArgs> {
         Ok(match self {
             Self::Pause => ClockCommand::Pause,
             Self::Step { ttis, .. } => ClockCommand::Step(*ttis),
@@ -188,7 +190,7 @@ pub(crate) struct ActArgs {
     pub change: ActChange,
 }
 
-/// Actions on a run.
+/// Subcommands of `reveille clock act`: actions on a run.
 #[derive(Subcommand, Clone)]
 pub(crate) enum ActChange {
     /// Switch devices off: they do not sense, receive wake-ups or consume, and their batteries only charge

@@ -1,5 +1,7 @@
-//! Options of `reveille train`. The commands in `docs/training.md` that made the shipped tables rely on the defaults of
-//! `train q-learning`. The help of `--patience` repeats the interval of evaluations in `commands/train/dt.rs`.
+//! Options of `reveille train`, which `commands/train/` executes. The commands in `docs/training.md` that made the
+//! shipped tables rely on the defaults of `train q-learning`. `tune` takes [`EpisodeArgs`] too, and `training_command`
+//! of `commands/tune.rs` repeats its options. The help of `--patience` repeats the interval of evaluations in
+//! `commands/train/dt.rs`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -28,7 +30,7 @@ pub(crate) enum TrainCommand {
         "reveille train q-learning --out mine.json",
         "reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json",
     ))]
-    QLearning(TrainArgs),
+    QLearning(QLearningArgs),
     /// Record training data for `train dt` in many runs, under any policy
     ///
     /// The data are the observation, action and reward in every TTI.
@@ -152,7 +154,7 @@ pub(crate) struct RecordArgs {
 
 /// Arguments of `reveille train q-learning`.
 #[derive(Args)]
-pub(crate) struct TrainArgs {
+pub(crate) struct QLearningArgs {
     /// Preset name (paper, paper-literal, quick) or TOML file.
     #[arg(long, short, default_value = "paper")]
     pub scenario: String,
@@ -173,6 +175,7 @@ pub(crate) struct TrainArgs {
     /// once; "ages" uses the ages of places instead [default: the scenario's policy.q-learning.window, or ages].
     #[arg(long, short, value_delimiter = ',', value_parser = trimmed(Lookback::from_str))]
     pub windows: Vec<Lookback>,
+    /// Training options.
     #[command(flatten)]
     pub episodes: EpisodeArgs,
     /// Output file for the tables.
@@ -202,7 +205,7 @@ impl DtArgs {
         }
     }
 
-    /// Returns the learning objective.
+    /// Returns the learning objective; the parser of the option accepts only its names.
     pub(crate) fn objective(&self) -> ModelObjective {
         let is_requested = |objective: &ModelObjective| objective.name() == self.objective;
         ModelObjective::ALL
@@ -212,8 +215,11 @@ impl DtArgs {
     }
 }
 
-impl TrainArgs {
-    /// Returns the scenario options.
+impl QLearningArgs {
+    /// Returns the scenario options for a learner without tables.
+    ///
+    /// # Errors
+    /// If `--set` sets a field that the training sets itself, or `--windows` mixes ages and windows.
     pub(crate) fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         let lookback_fields = ["policy.q-learning.window", "policy.q-learning.ages"];
         let sets_lookback = |set: &&String| lookback_fields.contains(&set.split('=').next().unwrap_or_default().trim());
@@ -248,7 +254,7 @@ const FIXED_FIELDS: [(&str, &str); 7] = [
     ),
 ];
 
-/// Training options for tables.
+/// Training options for tables, of `train q-learning` and `tune`.
 #[derive(Args)]
 pub(crate) struct EpisodeArgs {
     /// Number of episodes per table, each with a different deployment.
@@ -278,7 +284,10 @@ pub(crate) struct EpisodeArgs {
 
 impl EpisodeArgs {
     /// Returns the configuration for the learner.
-    pub(crate) fn training(&self) -> anyhow::Result<QTrainingConfig> {
+    ///
+    /// # Errors
+    /// Unless `--epsilon` has two shares. The trainer checks all ranges.
+    pub(crate) fn training_config(&self) -> anyhow::Result<QTrainingConfig> {
         let &[first, last] = &self.epsilon[..] else {
             bail!("--epsilon takes two shares, for example 0.1,0.03");
         };
@@ -299,6 +308,9 @@ impl EpisodeArgs {
     }
 
     /// Returns the options of scenario `name` with the overrides in `set`, for a learner without tables.
+    ///
+    /// # Errors
+    /// If `set` contains one of [`FIXED_FIELDS`].
     pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> anyhow::Result<ScenarioArgs> {
         for setting in set {
             let field = setting.split('=').next().unwrap_or_default().trim();

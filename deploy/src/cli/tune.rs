@@ -1,5 +1,6 @@
-//! Options of `reveille tune`. One that affects the training of tables also belongs in `training_command` of
-//! `commands/tune.rs`. Names of options are a public interface (see `cli`).
+//! Options of `reveille tune`, which `commands/tune.rs` executes. One that affects the training of tables also belongs
+//! in `training_command` there. The ranges of `--design`, `--seeds` and `--ttis` repeat the checks in
+//! `lab/src/tuning/plan.rs`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 
@@ -78,6 +79,7 @@ pub(crate) struct TuneArgs {
     /// Number of further pairs, each chosen from all earlier results.
     #[arg(long, default_value_t = 10, value_parser = whole(0..=usize::MAX), allow_negative_numbers = true)]
     pub iterations: usize,
+    /// Training options.
     #[command(flatten)]
     pub episodes: EpisodeArgs,
     /// Evaluation runs per pair; their seeds differ from all training seeds.
@@ -131,7 +133,10 @@ pub(crate) enum ObjectiveArg {
 
 #[cfg(feature = "tune")]
 impl TuneArgs {
-    /// Returns the scenario options.
+    /// Returns the scenario options for a learner without tables.
+    ///
+    /// # Errors
+    /// If `--set` sets a field that a training sets itself.
     pub(crate) fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
         let devices = Some(self.devices.clone());
         self.episodes.scenario(&self.scenario, &self.set, devices)

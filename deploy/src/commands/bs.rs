@@ -34,7 +34,7 @@ use crate::display::{RunProgressBar, note};
 use crate::exit::Interrupted;
 use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::policy_process::PolicyProcess;
-use crate::policy_source::{PolicySource, policy_source};
+use crate::policy_source::{PolicySource, select_policy_source};
 use crate::resume_mark::ResumeMarkWriter;
 use crate::run_folder::RunFolder;
 use crate::run_watchers::RunWatchers;
@@ -56,7 +56,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
@@ -336,7 +336,7 @@ async fn run_over_bus(
     let start = audit::AuditStart {
         from: resume_tti.unwrap_or_default(),
         inputs: &inputs,
-        log,
+        input_log: log,
     };
     let auditor = Auditor::start(prepared, start, *audit, progress);
     let spec = RunSpec {
@@ -344,7 +344,7 @@ async fn run_over_bus(
         session,
         checkpoint: resumption.map(Arc::new),
         // The replay also stores external inputs, so actions and a policy process need it under every --on-loss.
-        replay: Some(auditor.replay()),
+        replay: Some(auditor.replay_source()),
         decision_timeout: service.policy_source.decision_timeout,
     };
     let mut observers = (observer, (&mut mark_writer, auditor.observer()));
@@ -437,7 +437,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
         );
     }
     // Read once, so that every observer gets the same files even if they change later.
-    let description = ScenarioDescription::from(recording::bundle(scenario)?);
+    let description = ScenarioDescription::from(recording::bundle_scenario(scenario)?);
     let log = folder.join(INPUT_LOG_FILE);
     let described = [
         bus.serve(move |_: DescribeRequest| description.clone())?,
@@ -510,7 +510,7 @@ fn timing(served: &ServerOutcome, preparation_time: Duration) -> Timing {
         malformed_messages: served.malformed_payloads,
         unexpected_messages: served.unexpected_messages,
         decisions: served.decisions.decided,
-        decisions_refused: served.decisions.refused,
+        decisions_refused: served.decisions.refused_answers,
         decisions_held: served.decisions.held,
         losses: served.loss_durations.len(),
         longest_loss_s: served.loss_durations.iter().max().map_or(0.0, Duration::as_secs_f64),

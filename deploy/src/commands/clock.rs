@@ -27,7 +27,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
         .await?
         .with_key(address.key);
-    let command = match args.command.command() {
+    let command = match args.command.clock_command() {
         Ok(command) => command,
         Err(act) => return act_on_run(bus, &ActRequest::from(act)).await,
     };
@@ -83,7 +83,7 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
 /// # Errors
 /// If the clock stops or the run ends before the target.
 async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout: Duration) -> anyhow::Result<String> {
-    let (target, ttis) = (reply.until, reply.ttis);
+    let (target, ttis) = (reply.stop_before, reply.ttis);
     let mut status = reply;
     let (mut waited, mut has_warned) = (Duration::ZERO, false);
     loop {

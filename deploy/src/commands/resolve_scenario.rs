@@ -189,7 +189,7 @@ fn resolve_options(
     if args.learn && !learns {
         anyhow::bail!(
             "--learn: policy {name} does not learn; add --policy {}",
-            registry::names_where(|policy| policy.learns)
+            registry::comma_separated_names(|policy| policy.learns)
         );
     }
     for warning in &warnings {

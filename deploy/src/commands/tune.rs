@@ -96,7 +96,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
             ObjectiveArg::Efficiency => TuningObjective::Efficiency,
         },
         design: args.design,
-        training: args.episodes.training()?,
+        training: args.episodes.training_config()?,
         runs: args.seeds,
         ttis: args.ttis,
     };
@@ -174,7 +174,7 @@ fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     for set in args.set.iter().filter(|set| !is_weight(set)) {
         let _ = write!(text, " --set {set}");
     }
-    // `EpisodeArgs::training` has checked that `epsilon` holds two shares.
+    // `EpisodeArgs::training_config` has checked that `epsilon` holds two shares.
     let training_args = &args.episodes;
     let _ = write!(
         text,

@@ -1,5 +1,6 @@
 //! `reveille up`: a base station and its device processes on this machine. `bs` serves the run, `supervisor` keeps the
-//! processes. The help of `--processes` and `docs/command-line.md` repeat [`DEFAULT_PROCESSES`].
+//! processes. The help of `--processes` and `docs/command-line.md` repeat [`DEFAULT_PROCESSES`]. With
+//! `--processes 0` the devices run in this process, without a supervisor.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use super::resolve_scenario::resolve_started_run;
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
-use crate::policy_source::policy_source;
+use crate::policy_source::select_policy_source;
 use crate::run_folder::RunFolder;
 use crate::signals::{SignalMode, Signals};
 use crate::summary::Timing;
@@ -25,11 +26,12 @@ use crate::supervisor::{Supervisor, SupervisorConfig};
 
 /// Default number of device processes.
 const DEFAULT_PROCESSES: u32 = 4;
-/// Time for all device processes to join, if they are few.
+/// Time for all device processes to join; `scaled_timeout` extends it for many. Also the time that devices in this
+/// process wait for a base station.
 const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// Runs the base station and the devices on this machine.
-pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
+/// Runs the base station and the devices on this machine. The device processes get the `log_options`.
+pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
     let started = crate::runtime::now();
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
@@ -43,7 +45,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
@@ -72,7 +74,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
                 signals: &signals,
                 started,
             };
-            serve_with_devices(processes, &service, folder, (args.untuned, log)).await
+            serve_with_devices(processes, &service, folder, (args.untuned, log_options)).await
         }
         Err(error) => {
             folder.fail(&error);
@@ -81,6 +83,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     }
 }
 
+/// Opens the bus, under the name `--run` or the name of `folder`.
 async fn listen(args: &UpArgs, processes: u32, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
@@ -95,7 +98,7 @@ async fn serve_with_devices(
     processes: u32,
     service: &Service<'_>,
     folder: RunFolder,
-    (is_untuned, log): (bool, &[String]),
+    (is_untuned, log_options): (bool, &[String]),
 ) -> anyhow::Result<ExitCode> {
     let devices = service.scenario.run.devices;
     if processes == 0 {
@@ -130,7 +133,7 @@ async fn serve_with_devices(
         processes,
         endpoint: service.bus.endpoint(),
         run: &service.run.to_string(),
-        log,
+        log: log_options,
         is_untuned,
     };
     let config = SupervisorConfig {
@@ -158,7 +161,7 @@ async fn serve_with_devices(
     code
 }
 
-/// Measures the mean memory of the live device processes.
+/// Sets the mean memory of the live device processes in `timing`, where both fields must still be 0.
 fn measure_memory(pids: &[u32], timing: &mut Timing) {
     let kilobytes = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));

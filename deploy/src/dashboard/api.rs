@@ -1,5 +1,6 @@
-//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`. Every request passes
-//! [`check_request`] first. `page/api.js` uses the paths and keys.
+//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`, except the routes of `commands`.
+//! Every request passes [`check_request`] first. `page/*.js` uses the paths, query names, JSON keys and status codes;
+//! `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of the JSON.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -28,7 +29,7 @@ use super::feed::Feed;
 use super::timeline::{MAX_COLUMNS, MAX_DEVICE_TTIS, TimelineRequest, parse_rows};
 use crate::metrics_server::is_allowed_host;
 
-/// The header that holds the token.
+/// The header that holds the token. `page/api.js` and `tests/program/dashboard.rs` repeat the name.
 const TOKEN_HEADER: &str = "x-reveille-token";
 /// Least time between two updates of the page.
 const UPDATE_INTERVAL: Duration = Duration::from_millis(45);
@@ -43,11 +44,12 @@ const MAX_READERS: usize = 2;
 #[derive(Clone)]
 pub(super) struct ApiState {
     feed: Arc<Feed>,
+    /// The bus of a live run; commands need one with the run's key. `None` for a recording.
     pub(super) bus: Option<Bus>,
     token: Arc<str>,
     address: SocketAddr,
-    /// The current state of the run, broadcast to all clients.
-    now: Arc<watch::Sender<Arc<str>>>,
+    /// The current state of the run as JSON, broadcast to all clients of [`live`].
+    live_state: Arc<watch::Sender<Arc<str>>>,
     /// Permits for concurrent readers of the history.
     readers: Arc<Semaphore>,
 }
@@ -55,20 +57,20 @@ pub(super) struct ApiState {
 impl ApiState {
     /// Creates the state of a server at `address`. Call it within a runtime.
     pub(super) fn new(feed: Arc<Feed>, bus: Option<Bus>, token: String, address: SocketAddr) -> Self {
-        let now = Arc::new(watch::Sender::new(Arc::from("{}")));
-        let (feed_copy, send) = (Arc::clone(&feed), Arc::clone(&now));
+        let live_state = Arc::new(watch::Sender::new(Arc::from("{}")));
+        let (task_feed, sender) = (Arc::clone(&feed), Arc::clone(&live_state));
         tokio::spawn(async move {
             let mut next_update = tokio::time::Instant::now();
             loop {
                 // `notify_waiters` keeps no permit: the timeout covers a notification that came while nothing waited.
-                let notified = tokio::time::timeout(Duration::from_secs(1), feed_copy.changed.notified()).await;
+                let notified = tokio::time::timeout(Duration::from_secs(1), task_feed.changed.notified()).await;
                 if notified.is_ok() {
                     tokio::time::sleep_until(next_update).await;
                 }
                 next_update = tokio::time::Instant::now() + UPDATE_INTERVAL;
                 // Without a listener the state is not computed.
-                if send.receiver_count() > 0 {
-                    let _gone = send.send(Arc::from(feed_copy.current_json().to_string())).is_err();
+                if sender.receiver_count() > 0 {
+                    let _gone = sender.send(Arc::from(task_feed.current_json().to_string())).is_err();
                 }
             }
         });
@@ -77,15 +79,15 @@ impl ApiState {
             bus,
             token: token.into(),
             address,
-            now,
+            live_state,
             readers: Arc::new(Semaphore::new(MAX_READERS)),
         }
     }
 
-    /// Runs `look` on a blocking thread. Few run at a time, so that the run's own thread is not delayed.
+    /// Calls `read` on a blocking thread. Few run at a time, so that the run's own thread is not delayed.
     async fn read_feed<T: Send + 'static>(
         &self,
-        look: impl FnOnce(&Feed) -> T + Send + 'static,
+        read: impl FnOnce(&Feed) -> T + Send + 'static,
     ) -> Result<T, ApiError> {
         let unavailable = || {
             ApiError(
@@ -101,7 +103,7 @@ impl ApiState {
         let result = tokio::task::spawn_blocking(move || {
             // Held by the thread itself: it can outlive a request that is given up.
             let _permit = permit;
-            look(&feed)
+            read(&feed)
         });
         result.await.map_err(|_| unavailable())
     }
@@ -128,7 +130,7 @@ pub(super) async fn check_request(State(served): State<ApiState>, request: Reque
 }
 
 /// The reason why a request is refused, if it is. Refused are requests under another host name, from a page of another
-/// site, and without the token. Reading from a loopback address needs no token.
+/// site, and without the token. Reading from a loopback address needs no token, and neither do the page's files.
 fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
     let header_text = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let host = header_text(header::HOST.as_str());
@@ -176,15 +178,18 @@ pub(super) async fn now(State(served): State<ApiState>) -> Json<Value> {
 pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
     // Sent without a wait: the next change of a paused run can be far away.
     let first = Some(served.feed.current_json().to_string());
-    let events = futures::stream::unfold((served.now.subscribe(), first), |(mut now, first)| async move {
-        let event = if let Some(first) = first {
-            Event::default().data(first)
-        } else {
-            now.changed().await.ok()?;
-            Event::default().data(&*now.borrow_and_update())
-        };
-        Some((Ok::<_, Infallible>(event), (now, None)))
-    });
+    let events = futures::stream::unfold(
+        (served.live_state.subscribe(), first),
+        |(mut updates, first)| async move {
+            let event = if let Some(first) = first {
+                Event::default().data(first)
+            } else {
+                updates.changed().await.ok()?;
+                Event::default().data(&*updates.borrow_and_update())
+            };
+            Some((Ok::<_, Infallible>(event), (updates, None)))
+        },
+    );
     ([(header::CACHE_CONTROL, "no-store")], Sse::new(events))
 }
 
@@ -227,7 +232,7 @@ pub(super) async fn curves(State(served): State<ApiState>) -> Result<Json<Vec<Cu
     Ok(Json(served.read_feed(Feed::curves).await?))
 }
 
-/// The filters of the message list, with the names of `inspect tail`.
+/// The filters of the message list, with the names of `inspect tail` except `limit`. `until` is included.
 #[derive(Deserialize)]
 pub(super) struct MessageQuery {
     plane: Option<String>,
@@ -262,20 +267,20 @@ impl MessageQuery {
             let all = MessageKind::ALL.iter().copied();
             kinds.extend(all.filter(|kind| kind.plane() != Plane::Emu));
         }
-        let state = |name| StateName::ALL.into_iter().find(|(own, _)| *own == name);
+        let state = |name| StateName::ALL.into_iter().find(|(state_name, _)| *state_name == name);
         let states = split_names(self.state.as_deref()).map(|name| state(name).ok_or_else(|| unknown_value("state")));
-        let own = self.device.map(DeviceId);
+        let only_device = self.device.map(DeviceId);
         let devices = match self.cluster {
             Some(number) => {
                 let group = feed.group(number).ok_or_else(|| unknown_value("cluster"))?;
                 Some(
                     group
                         .into_iter()
-                        .filter(|id| own.is_none_or(|own| own == *id))
+                        .filter(|id| only_device.is_none_or(|only| only == *id))
                         .collect(),
                 )
             }
-            None => own.map(|own| vec![own]),
+            None => only_device.map(|only| vec![only]),
         };
         let filter = Filter {
             plane: plane.transpose()?,
@@ -292,6 +297,7 @@ impl MessageQuery {
             last.0.min(self.until.unwrap_or(u64::MAX)),
         );
         if !filter.states.is_empty() && end.saturating_sub(from) > MAX_HISTORY_TTIS {
+            // With the labels of the page, not the names of the query.
             let why = format!("a state filter covers at most {MAX_HISTORY_TTIS} TTIs; limit it with from and to");
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
@@ -352,12 +358,12 @@ pub(super) async fn message(State(served): State<ApiState>, Path(number): Path<u
     })
 }
 
-/// The requested TTIs of a history.
+/// The requested TTIs of a history, from `from` up to but excluding `end`.
 #[derive(Deserialize)]
 pub(super) struct TtiRange {
     from: Option<u64>,
     end: Option<u64>,
-    /// The TTI up to which sums are requested.
+    /// The last TTI of the requested sums, which begin with TTI 0.
     at: Option<u64>,
 }
 
@@ -367,7 +373,7 @@ pub(super) async fn device(
     Query(span): Query<TtiRange>,
 ) -> ApiResult {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
-    let look = move |history: &RunHistory| {
+    let read = move |history: &RunHistory| {
         let (first, last) = history.available_ttis();
         // A request can name any TTIs, so the length of the history is bounded.
         let (from, end) = (Tti(from).max(first).min(last), Tti(end).min(last));
@@ -375,7 +381,7 @@ pub(super) async fn device(
         let totals = span.at.and_then(|at| history.totals(DeviceId(device), Tti(at)));
         (history.device_views(DeviceId(device), from, end), totals)
     };
-    let (history, totals) = served.read_feed(move |feed| feed.history(look)).await?;
+    let (history, totals) = served.read_feed(move |feed| feed.history(read)).await?;
     if history.is_empty() {
         return Err(ApiError(
             StatusCode::NOT_FOUND,
@@ -402,7 +408,8 @@ pub(super) async fn device(
     })))
 }
 
-/// A part of the timeline: TTIs, TTIs in a column, and a list of devices such as `0-31,40`.
+/// A part of the timeline: TTIs from `from` up to but excluding `end`, TTIs in a column, and a list of devices such as
+/// `0-31,40`.
 #[derive(Deserialize)]
 pub(super) struct TimelineQuery {
     from: u64,
@@ -418,6 +425,7 @@ pub(super) async fn timeline(
 ) -> Result<impl IntoResponse, ApiError> {
     let refused = |why: String| ApiError(StatusCode::BAD_REQUEST, why);
     let devices = parse_rows(&query.rows, served.feed.devices())
+        // 256 is `timeline::MAX_ROWS`.
         .ok_or_else(|| refused("rows: use at most 256 devices of the run, such as 0-31,40".to_owned()))?;
     let step = query.step.unwrap_or(1).max(1);
     let ttis = query.end.saturating_sub(query.from);

@@ -1,5 +1,6 @@
 //! Commands of the dashboard page to the run: its clock, and actions on devices. Every request has passed
-//! [`check_request`](super::api::check_request). `page/clock.js` and `page/device_actions.js` send them.
+//! [`check_request`](super::api::check_request). `page/clock.js` and `page/device_actions.js` send them. The base
+//! station refuses them unless the bus of [`ApiState`] has the run's key.
 
 use std::time::Duration;
 
@@ -22,12 +23,13 @@ pub(super) async fn clock(State(served): State<ApiState>) -> ApiResult {
     command_clock(&served, ClockCommand::Status).await
 }
 
-/// The number of a command.
+/// The number of a command: TTIs for `step`, a TTI for `run-to`, µs per TTI for `pace`.
 #[derive(Deserialize)]
 pub(super) struct CountParam {
     n: Option<u64>,
 }
 
+/// Sends a command to the clock. The page and `tests/program/dashboard.rs` use the names.
 pub(super) async fn command(
     State(served): State<ApiState>,
     Path(command): Path<String>,
@@ -86,7 +88,7 @@ pub(super) async fn act(
     }
 }
 
-/// Sends a query to the base station; `None` without an answer.
+/// Sends a query to the base station; `None` without an answer, which means that the run has ended.
 async fn query_bus<Q: BusQuery<Address = ()>>(served: &ApiState, query: &Q) -> Result<Option<Q::Reply>, ApiError> {
     let Some(bus) = &served.bus else {
         return Err(ApiError(

@@ -1,4 +1,5 @@
-//! The dashboard's curves over a run: metrics, batteries and traffic. `page/charts.js` draws them.
+//! The dashboard's curves over a run: metrics, batteries and traffic. `feed` updates them, `page/charts.js` draws them.
+//! It takes metrics and quantiles by index, and the other values by key.
 
 use reveille_common::ids::Tti;
 use reveille_common::units::Energy;
@@ -6,7 +7,7 @@ use reveille_view::history::RunHistory;
 use reveille_view::traffic::TrafficStats;
 use serde::Serialize;
 
-/// Metrics that have a curve.
+/// Metrics that have a curve. Their order is fixed by `page/charts.js` and a test of `feed`.
 pub(super) const CURVE_METRICS: [&str; 6] = [
     "info_p1",
     "misdetection_pct",
@@ -15,7 +16,7 @@ pub(super) const CURVE_METRICS: [&str; 6] = [
     "energy_sleep_per_device_tti",
     "energy_report_per_device_tti",
 ];
-/// Battery quantiles that have a curve.
+/// Battery quantiles that have a curve, in the order of `page/charts.js`, which names them.
 const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 /// Most points of a curve; beyond that, every other point is dropped.
 const MAX_POINTS: usize = 800;
@@ -42,7 +43,8 @@ pub(super) struct Curves {
     points: Vec<CurvePoint>,
     /// TTIs between two points.
     spacing: u64,
-    next_point: Tti,
+    /// The next point is due once the TTIs before this one are available.
+    next_end: Tti,
 }
 
 impl Curves {
@@ -52,13 +54,13 @@ impl Curves {
         Self {
             points: Vec::new(),
             spacing: (ttis / MAX_POINTS as u64).clamp(1, MAX_INITIAL_SPACING),
-            next_point: Tti::ZERO,
+            next_end: Tti::ZERO,
         }
     }
 
     /// Adds a point if the next one is due. Call it only between two grants, with the state of the frames so far.
     pub(super) fn update(&mut self, history: &mut RunHistory, traffic: &TrafficStats) {
-        if history.available_ttis().1 < self.next_point {
+        if history.available_ttis().1 < self.next_end {
             return;
         }
         let Some(point) = curve_point(history, traffic) else {
@@ -75,7 +77,7 @@ impl Curves {
             });
             self.spacing *= 2;
         }
-        self.next_point = tti + 1 + self.spacing;
+        self.next_end = tti + 1 + self.spacing;
     }
 
     /// The stored points, and a last point for the frames so far.

@@ -1,4 +1,5 @@
-//! The ended events of a run, for the timeline, the search for misses and the heat layers of the map.
+//! The ended events of a run, for the timeline, the search for misses and the heat layers of the map. `feed` adds them.
+//! Events of the warm-up are included. `page/*.js` uses the JSON keys.
 
 use std::collections::VecDeque;
 
@@ -10,14 +11,14 @@ use serde_json::{Value, json};
 /// Most events in one answer.
 const MAX_EVENTS: usize = 2_000;
 
-/// The ended events of the available TTIs, and their numbers near each device since TTI 0.
+/// The ended events of the available TTIs, and the numbers of ended events nearest to each device since TTI 0.
 pub(super) struct EventLog {
     records: VecDeque<EventRecord>,
     positions: Vec<Point>,
-    /// Events whose nearest device this is, by device.
-    near: Vec<u32>,
-    /// Misdetections among them.
-    missed_near: Vec<u32>,
+    /// Number of events whose nearest device this is, by device.
+    near_counts: Vec<u32>,
+    /// Number of misdetections among them, by device.
+    near_miss_counts: Vec<u32>,
 }
 
 impl EventLog {
@@ -25,13 +26,13 @@ impl EventLog {
     pub(super) fn new(positions: Vec<Point>) -> Self {
         Self {
             records: VecDeque::new(),
-            near: vec![0; positions.len()],
-            missed_near: vec![0; positions.len()],
+            near_counts: vec![0; positions.len()],
+            near_miss_counts: vec![0; positions.len()],
             positions,
         }
     }
 
-    /// Adds an event that has ended. Drops events that ended before `first`.
+    /// Adds an event that has ended; call it in the order of the ends. Drops events that ended before `first`.
     pub(super) fn push(&mut self, record: EventRecord, first: Tti) {
         while self.records.front().is_some_and(|oldest| oldest.last < first) {
             self.records.pop_front();
@@ -39,39 +40,47 @@ impl EventLog {
         let distance = |device: &usize| self.positions[*device].distance(record.epicentre);
         let nearest = (0..self.positions.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
         if let Some(device) = nearest {
-            self.near[device] += 1;
-            self.missed_near[device] += u32::from(record.delay().is_none());
+            self.near_counts[device] += 1;
+            self.near_miss_counts[device] += u32::from(record.delay().is_none());
         }
         self.records.push_back(record);
     }
 
     /// The events that overlap the TTIs from `from` up to but excluding `end`; the latest ones if there are too many.
     pub(super) fn overlapping(&self, from: Tti, end: Tti) -> Value {
-        // At most one event is active, so both ends are in order.
-        let start = self.records.partition_point(|record| record.last < from);
-        let stop = self.records.partition_point(|record| record.start < end).max(start);
-        let start = start.max(stop.saturating_sub(MAX_EVENTS));
-        json!(self.records.range(start..stop).map(event_json).collect::<Vec<_>>())
+        // At most one event is active at a time, so the starts of `records` are in order, and their ends too.
+        let first_index = self.records.partition_point(|record| record.last < from);
+        let end_index = self
+            .records
+            .partition_point(|record| record.start < end)
+            .max(first_index);
+        let first_index = first_index.max(end_index.saturating_sub(MAX_EVENTS));
+        json!(
+            self.records
+                .range(first_index..end_index)
+                .map(event_json)
+                .collect::<Vec<_>>()
+        )
     }
 
     /// The first misdetection that starts after TTI `tti`.
     pub(super) fn miss_after(&self, tti: Tti) -> Option<Value> {
-        let start = self.records.partition_point(|record| record.start <= tti);
-        let mut later = self.records.range(start..);
+        let first_index = self.records.partition_point(|record| record.start <= tti);
+        let mut later = self.records.range(first_index..);
         later.find(|record| record.delay().is_none()).map(event_json)
     }
 
     /// The last misdetection that starts before TTI `tti`.
     pub(super) fn miss_before(&self, tti: Tti) -> Option<Value> {
-        let stop = self.records.partition_point(|record| record.start < tti);
-        let mut earlier = self.records.range(..stop).rev();
+        let end_index = self.records.partition_point(|record| record.start < tti);
+        let mut earlier = self.records.range(..end_index).rev();
         earlier.find(|record| record.delay().is_none()).map(event_json)
     }
 
     /// By device: the number of ended events since TTI 0 to which it is the nearest device, and how many of these were
     /// missed.
     pub(super) fn counts(&self) -> (&[u32], &[u32]) {
-        (&self.near, &self.missed_near)
+        (&self.near_counts, &self.near_miss_counts)
     }
 }
 

@@ -1,5 +1,7 @@
-//! The dashboard's copy of a run: its history, the curves over it and its current state. One thread applies the frames;
-//! `api` reads from many requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`.
+//! The dashboard's copy of a run: its history, the curves over it and its current state. One thread applies the frames:
+//! the thread of [`Feed::open`] for a live run, the reader of a recording with [`Feed::apply`]. `api` reads from many
+//! requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`, and often in
+//! `tests/program/dashboard.rs` and `tests/browser/check.py`.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -26,11 +28,11 @@ use super::curves::{CURVE_METRICS, CurvePoint, Curves};
 use super::events::EventLog;
 use super::timeline::{TimelineCursor, TimelineRequest, battery_byte};
 
-/// TTIs of a live run that stay available for inspection.
+/// TTIs of a live run that stay available for inspection; `docs/inspecting.md` states the number.
 const MAX_LIVE_TTIS: u64 = 100_000;
-/// Capacity of the frame queue.
+/// Frames that the queue holds. A full queue blocks the run or the reader of the bus.
 const QUEUE_CAPACITY: usize = 65_536;
-/// Time after which the thread that waits for frames stops waiting and waits again.
+/// Longest single wait for frames; after it the thread waits again.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Maximum number of events in the list of the latest events.
 const MAX_TICKER_EVENTS: usize = 6;
@@ -50,7 +52,7 @@ pub(crate) enum FeedOrigin<'a> {
 pub(crate) struct Feed {
     /// The largest E_max of all devices.
     largest_e_max: Energy,
-    /// The part of the data that is constant during the run.
+    /// The part of the data that is constant during the run, as JSON.
     about: Value,
     /// The group of each device, if the policy has groups.
     groups: Option<Vec<u32>>,
@@ -229,7 +231,7 @@ impl Feed {
         Ok(FeedHandle(sender))
     }
 
-    /// Applies a frame to the history, the curves and the counts.
+    /// Applies the next frame to the history, the curves and the counts. Not for a feed with a thread ([`Self::open`]).
     pub(crate) fn apply(&self, frame: Frame) {
         self.lock().apply(frame);
     }
@@ -239,7 +241,7 @@ impl Feed {
         self.lock().broken_reason = Some(reason);
     }
 
-    /// Ends the feed.
+    /// Ends the feed: no more frames come. Call it once.
     pub(crate) fn end(&self) {
         let mut state = self.lock();
         state.ended = Some(crate::runtime::now());
@@ -379,13 +381,13 @@ impl Feed {
     pub(crate) fn heat_json(&self) -> Value {
         let state = self.lock();
         let mirror = state.history.now().mirror().clone();
-        let (near, missed_near) = state.events.counts();
-        let (events, misses) = (json!(near), json!(missed_near));
+        let (near_counts, near_miss_counts) = state.events.counts();
+        let (events, misses) = (json!(near_counts), json!(near_miss_counts));
         // The ledgers of many devices take long, and the run's frames wait for this lock.
         drop(state);
         let ledgers = mirror.ledgers();
-        let looks: Vec<u64> = ledgers.iter().map(|ledger| ledger.whole.sensing_ttis).collect();
-        json!({ "looks": looks, "events": events, "misses": misses })
+        let sensing_ttis: Vec<u64> = ledgers.iter().map(|ledger| ledger.whole.sensing_ttis).collect();
+        json!({ "looks": sensing_ttis, "events": events, "misses": misses })
     }
 
     /// Encodes a part of the timeline; `None` if none of its TTIs is available.
@@ -419,8 +421,8 @@ impl Feed {
 impl FeedState {
     fn apply(&mut self, frame: Frame) {
         // Only between two grants: the outcomes of a grant, such as the end of an event, follow its first frame.
-        let is_between = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
-        if is_between {
+        let is_between_grants = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
+        if is_between_grants {
             self.curves.update(&mut self.history, &self.traffic);
         }
         self.traffic.count(&frame);
@@ -488,7 +490,7 @@ impl FeedState {
 }
 
 /// The codes of the states, one character per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the
-/// wake-up radio, `x` failed by an operator.
+/// wake-up radio, `x` failed by an operator. `page/*.js` and `tests/program/dashboard.rs` read them.
 pub(super) fn state_codes(views: &[DeviceView]) -> String {
     let code = |view: &DeviceView| match view.state {
         DeviceState::Idle => '1',

@@ -2,8 +2,8 @@
 //!
 //! It is a single page that loads nothing from other sites (`page/`), an HTTP interface (`api`), and a copy of the run
 //! (`feed`). The page itself needs no token. On a loopback address reading the run needs none either. Changes need one,
-//! and so does every request under `/api/` if other machines can connect (`api::check_request`). `page/*.js` and
-//! `tests/browser/check.py` use the routes.
+//! and so does every request under `/api/` if other machines can connect (`api::check_request`). `page/*.js`,
+//! `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use the routes.
 
 mod api;
 mod commands;
@@ -39,8 +39,8 @@ pub(crate) struct Dashboard {
     pub url: String,
 }
 
-/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run
-/// and act on its devices.
+/// Serves `feed` at `address` until the program ends. With a `bus` that has the run's key, the page can control the
+/// clock of that run and act on its devices.
 ///
 /// # Errors
 /// If it cannot listen there.

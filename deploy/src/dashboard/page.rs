@@ -1,4 +1,5 @@
-//! The files of the dashboard page.
+//! The files of the dashboard page, compiled into the program; `mod.rs` serves them. A new file of `page/` needs an
+//! entry here.
 
 /// Declares files of `page/` with one content type.
 macro_rules! files {
@@ -7,7 +8,7 @@ macro_rules! files {
     };
 }
 
-/// The files of the page: path, type, content.
+/// The files of the page: path, content type, content. `mod.rs` serves `/index.html` as `/`.
 pub(super) const PAGE: &[(&str, &str, &str)] = files! {
     "text/html; charset=utf-8": "index.html";
     "text/css; charset=utf-8": "layout.css" "style.css";

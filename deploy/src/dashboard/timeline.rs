@@ -1,8 +1,9 @@
 //! The timeline of many devices in a compact binary form, for `page/timeline_data.js`.
 //!
 //! An answer has a header of four little-endian numbers: the first TTI and the end of the TTIs that it covers (64 bits
-//! each), the number of columns and the number of rows (32 bits each). Three planes of bytes follow, row by row: what
-//! happened in each column, the share of its TTIs in S1, and the battery at its end. A column covers `step` TTIs.
+//! each), the number of columns and the number of rows (32 bits each). Three planes of bytes follow, row by row: the
+//! flags of each column, its TTIs in S1 × 255 / `step`, and the battery at its end. A column covers `step` TTIs; the
+//! last one can be cut short. The first TTI is the requested one; the cells of TTIs that are not available stay 0.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -12,17 +13,22 @@ use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
 use reveille_view::history::{HistorySpan, ResumeSnapshot, RunHistory};
 
-/// Most rows of one answer.
+/// Most rows of one answer; an error text of `api` repeats it. The tiles of `page/timeline_data.js` stay below all
+/// three limits.
 pub(super) const MAX_ROWS: usize = 256;
 /// Most columns of one answer.
 pub(super) const MAX_COLUMNS: u64 = 4_096;
 /// Most states that one answer computes: rows × TTIs.
 pub(super) const MAX_DEVICE_TTIS: u64 = 8_000_000;
 
-/// The flags of a column: states that its TTIs ended with, and marks.
+// The flags of a column: states in which its TTIs ended, and marks. `page/timeline_data.js` repeats names and values.
+/// S1.
 const SENSING: u8 = 1;
+/// S2 or S3.
 const REPORTING: u8 = 2;
+/// S4 with power for the wake-up radio.
 const ASLEEP: u8 = 4;
+/// S4 without power for the wake-up radio.
 const UNPOWERED: u8 = 8;
 /// The device sent a report that arrived.
 const REPORTED: u8 = 16;
@@ -36,8 +42,9 @@ const OUT: u8 = 128;
 /// A requested part of the timeline.
 pub(super) struct TimelineRequest {
     pub from: Tti,
+    /// The TTI after the last one.
     pub end: Tti,
-    /// TTIs in a column.
+    /// TTIs in a column, at least 1.
     pub step: u64,
     /// The devices of the rows, in the order of the rows.
     pub devices: Vec<DeviceId>,
@@ -54,14 +61,15 @@ impl TimelineCursor {
         history.span(request.from, request.end, snapshot_near_end)
     }
 
-    /// Encodes the answer to `request` from `span`. Battery levels are shares of `e_max`.
+    /// Encodes the answer to `request` from `span`, which [`Self::copy_span`] has copied for it. Battery levels are
+    /// shares of `e_max`, the largest of all devices.
     pub(super) fn encode(&self, request: &TimelineRequest, span: HistorySpan, e_max: Energy) -> Vec<u8> {
         let mut cells = Cells::new(request, span.ttis().1);
         for frame in span.frames() {
             cells.mark(frame, request);
         }
         let end = span.ttis().1;
-        let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add(tti, views, e_max));
+        let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add_tti(tti, views, e_max));
         *self.lock() = Some(snapshot_near_end);
         cells.encode(end)
     }
@@ -102,11 +110,12 @@ impl Cells {
         }
     }
 
-    /// The index of the cell of `row` in TTI `tti`.
+    /// The index of the cell of `row` in TTI `tti`, a TTI of the span.
     const fn cell(&self, row: usize, tti: Tti) -> usize {
         row * self.columns + ((tti.0 - self.from.0) / self.step) as usize
     }
 
+    /// Sets the mark of a frame, if it has one and its device a row.
     fn mark(&mut self, frame: &Frame, request: &TimelineRequest) {
         let is_failed_wake_up = || {
             let Ok(Message::Woken(woken)) = frame.message() else {
@@ -132,7 +141,8 @@ impl Cells {
         }
     }
 
-    fn add(&mut self, tti: Tti, views: &[DeviceView], e_max: Energy) {
+    /// Adds the end of TTI `tti`; `views` are in the order of the rows.
+    fn add_tti(&mut self, tti: Tti, views: &[DeviceView], e_max: Energy) {
         let column = self.cell(0, tti);
         self.column_ttis[column] += 1;
         for (row, view) in views.iter().enumerate() {
@@ -171,7 +181,8 @@ pub(super) fn battery_byte(battery: Energy, e_max: Energy) -> u8 {
     (battery.micro() * 255).div_ceil(e_max.micro().max(1)).min(255) as u8
 }
 
-/// The devices of a list such as `0-31,40`, each below `devices`; `None` if it is malformed or too long.
+/// The devices of a list such as `0-31,40`, each below `devices`; `None` if it is malformed or has more than
+/// [`MAX_ROWS`].
 pub(super) fn parse_rows(list: &str, devices: u32) -> Option<Vec<DeviceId>> {
     let mut rows = Vec::new();
     for part in list.split(',') {

@@ -11,8 +11,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Battery {
     level: Energy,
+    /// E_max.
     capacity: Energy,
+    /// The total harvest, overflow included.
     harvested: Energy,
+    /// The part of the harvest that did not fit.
     overflow: Energy,
     initial: Energy,
 }
@@ -34,8 +37,8 @@ impl Battery {
     }
 
     /// Returns whether this battery, read from a checkpoint, can be a battery of `model`: E_max and the initial level
-    /// are the same, and the level is at most E_max.
-    pub fn is_of(&self, model: &EnergyModel) -> bool {
+    /// are the same, and the level is at most E_max. Harvest and overflow are not checked.
+    pub fn can_belong_to(&self, model: &EnergyModel) -> bool {
         self.capacity == model.e_max && self.initial == model.initial && self.level <= self.capacity
     }
 
@@ -44,7 +47,7 @@ impl Battery {
         self.level
     }
 
-    /// Adds a harvest. The part that does not fit counts as overflow.
+    /// Adds a harvest, or energy from an operator. The part that does not fit counts as overflow.
     pub fn harvest(&mut self, energy: Energy) {
         let fits = energy.min(self.capacity - self.level);
         self.harvested += energy;
@@ -52,8 +55,10 @@ impl Battery {
         self.level += fits;
     }
 
-    /// Pays `cost`, which must not exceed the level, for a span that the caller has checked. An action, which can fail,
-    /// uses [`Self::pay`].
+    /// Pays `cost` for a span of TTIs that the caller has checked. An action, which can fail, uses [`Self::pay`].
+    ///
+    /// # Panics
+    /// If the battery holds less.
     #[inline]
     pub fn spend(&mut self, cost: Energy) {
         self.level -= cost;

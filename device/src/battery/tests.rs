@@ -1,4 +1,5 @@
-//! Tests of [`Battery`] without a device, against sums in plain integers.
+//! Tests of [`Battery`] without a device, against sums in plain integers. The tests of the machine cover spans
+//! ([`Battery::spend`]); only whole runs cover checkpoints. All levels and costs are arbitrary.
 
 use proptest::prelude::*;
 use reveille_common::scenario::EnergyModel;

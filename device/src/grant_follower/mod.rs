@@ -3,7 +3,7 @@
 //!
 //! Messages may be lost, repeated or stale. A host executes a grant once, when all messages that belong to it are
 //! present. It answers a repeated request again. `host` drives this file. `bs/src/server/downlink.rs` relies on these
-//! rules when it retransmits.
+//! rules when it retransmits; `tests/fuzz/fuzz_targets/grants.rs` checks them against a model.
 
 use std::collections::BTreeMap;
 
@@ -35,14 +35,14 @@ pub enum Disposition<T> {
     Execute(T),
 }
 
-/// A grant to execute. Devices are numbered from 0 within the host's assignment.
+/// A grant to execute. Plain device indices count from 0 within the host's assignment; `changes` contain device ids.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GrantTask {
-    /// The changes that operators make at the start of the grant's first TTI.
+    /// The changes that operators make at the start of the grant's first TTI, also to devices of other hosts.
     pub changes: Vec<Change>,
-    /// The changes of δ, in the order of TTIs: device, first TTI, and the new duty cycle.
+    /// The changes of δ, in the order of TTIs: device index, first TTI, and the new duty cycle.
     pub duty_changes: Vec<(usize, Tti, DutyCycle)>,
-    /// The devices with δ = 1 in the grant's last TTI that are within d_max of its stimulus.
+    /// The indices of the devices with δ = 1 in the grant's last TTI that are within d_max of its stimulus.
     pub sensing_devices: Vec<usize>,
 }
 
@@ -51,7 +51,7 @@ pub struct GrantTask {
 pub struct WakeUpTask {
     /// The index of the device in the host's assignment, from 0.
     pub device: usize,
-    /// The TTI in which the ledger counts the wake-up.
+    /// The TTI in which the ledger counts the wake-up: the grant's last, also for a later wake-up of the same event.
     pub tti: Tti,
     /// The stimulus when the device is awake; `None` if the event is over by then.
     pub stimulus: Option<Stimulus>,
@@ -65,15 +65,17 @@ pub struct GrantFollower {
     d_max: f64,
     /// The first TTI after the run.
     end: Tti,
+    /// The duty cycle of each device after the last grant.
     duties: Vec<DutyCycle>,
     radio: RadioSettings,
-    /// The losses of plans, in the order of TTIs.
+    /// Draws the losses of plans, in the order of TTIs.
     air: Air,
     /// The first TTI of the current plan of this host.
     plan_from: Option<Tti>,
     /// Plans for TTIs that are not granted yet, by first TTI.
     pending_plans: BTreeMap<Tti, Plan>,
-    /// Changes at the start of a TTI that is not granted yet.
+    /// Changes at the start of a TTI that is not granted yet. The base station sends changes only for the next grant
+    /// ([`ClockMessage::Act`](reveille_common::message::ClockMessage::Act)); [`Self::receive_grant`] relies on that.
     pending_changes: Option<(Tti, Vec<Change>)>,
     /// The first TTI that is not granted yet.
     next: Tti,
@@ -82,7 +84,7 @@ pub struct GrantFollower {
     last_request: Option<HostRequest>,
 }
 
-/// The start of a follower: its assignment, and the progress of the devices.
+/// The start of a follower: its assignment, and the progress of the devices, which is not 0 after a takeover or resume.
 #[derive(Clone, Debug)]
 pub struct FollowerStart {
     /// The first device of the assignment.
@@ -157,7 +159,7 @@ impl GrantFollower {
         is_due
     }
 
-    /// Processes a grant.
+    /// Processes a grant. Only the last request is known as a repetition; an older one is [`Disposition::NotReady`].
     pub fn receive_grant(&mut self, grant: GrantMessage) -> Disposition<GrantTask> {
         let request = HostRequest::Grant(grant.last);
         if self.last_request == Some(request) {
@@ -208,8 +210,8 @@ impl GrantFollower {
         Disposition::Execute(())
     }
 
-    /// Processes a wake-up for `device`. Returns `None` if the device belongs to another host or the wake-up is outside
-    /// its TTI.
+    /// Processes a wake-up for `device`. Returns `None` without a granted event, if the device belongs to another host,
+    /// or if the wake-up is outside its TTI. A repeated wake-up is returned again.
     pub fn receive_wake_up(&self, device: DeviceId, wake: WakeUp) -> Option<WakeUpTask> {
         let index = device.index().checked_sub(self.first_device.index())?;
         let grant = self.grant.filter(|_| index < self.duties.len())?;
@@ -219,13 +221,13 @@ impl GrantFollower {
         is_in_grant.then(|| WakeUpTask {
             device: index,
             tti: grant.last,
-            stimulus: (!self.radio.is_late(wake.tti, grant.until)).then_some(stimulus),
+            stimulus: (!self.radio.is_late(wake.tti, grant.stimulus_last)).then_some(stimulus),
         })
     }
 
-    /// Applies the plans that belong to a grant up to TTI `last`.
+    /// Applies the plans that belong to a grant up to TTI `last`. Returns the changes of δ.
     fn apply_plans(&mut self, last: Tti) -> Vec<(usize, Tti, DutyCycle)> {
-        let mut changes = Vec::new();
+        let mut duty_changes = Vec::new();
         let later_plans = self.pending_plans.split_off(&last.saturating_add(1));
         // In the order of TTIs, because `Air` never goes back.
         for (from, plan) in std::mem::replace(&mut self.pending_plans, later_plans) {
@@ -239,13 +241,15 @@ impl GrantFollower {
             air.deliver_plan(from, &plan, *first_device, duties.len(), |j, duty| {
                 if duties[j] != duty {
                     duties[j] = duty;
-                    changes.push((j, from, duty));
+                    duty_changes.push((j, from, duty));
                 }
             });
         }
-        changes
+        duty_changes
     }
 
+    /// The indices of the devices that can detect `stimulus` in TTI `tti`.
+    /// [`Machine::can_detect`](crate::machine::Machine::can_detect) and `common/src/world.rs` have the same rule.
     fn find_sensing_devices(&self, tti: Tti, stimulus: &Stimulus) -> Vec<usize> {
         let is_in_range = |j: &usize| self.positions[*j].distance(stimulus.epicentre) <= self.d_max;
         (0..self.duties.len())

@@ -1,5 +1,5 @@
 //! The tokio task of a device, with one mailbox and one [`Machine`]. It executes commands in the order in which the
-//! host sends them, which must be the order within a TTI.
+//! host (`mod.rs`) sends them, which must be the order within a TTI: a command for an earlier TTI can panic.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use super::answer_round::{AnswerRound, DeviceAnswer, Uplink};
 use crate::machine::{Machine, Physics, SenseOutcome};
 
-/// A command to a device.
+/// A command to a device. A command with a round adds exactly one part to it; [`AnswerRound::new`] gets their number.
 pub(crate) enum DeviceCommand {
     /// Air plane: δ from a TTI on.
     Duty(Tti, DutyCycle),
@@ -49,7 +49,7 @@ impl Actor {
         }
     }
 
-    /// Runs until the mailbox is closed.
+    /// Runs until the mailbox is closed, at the end of the host.
     pub(crate) async fn run(mut self, mut mailbox: UnboundedReceiver<DeviceCommand>) {
         while let Some(command) = mailbox.recv().await {
             match command {
@@ -83,8 +83,7 @@ impl Actor {
             SenseOutcome::Unpowered => DeviceAnswer::Unpowered,
             SenseOutcome::Failed(failure) => DeviceAnswer::Failed(failure),
             SenseOutcome::Reported(report) => {
-                // Sent before the part is added: the answer states the number of reports and has to follow them on the
-                // link.
+                // Sent before the part is added, since the answer must follow the reports whose number it states.
                 self.uplink.send_report(&report);
                 DeviceAnswer::Reported(report)
             }

@@ -186,7 +186,8 @@ impl Machine {
     ) -> Result<Self, String> {
         let saved: MachineState = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
         let mut machine = Self::new(setup, physics);
-        if !saved.battery.is_of(&setup.energy) || saved.ledger_builder.measured_from() != physics.measured_from {
+        if !saved.battery.can_belong_to(&setup.energy) || saved.ledger_builder.measured_from() != physics.measured_from
+        {
             return Err(format!("the checkpoint of device {} is for another device", setup.id));
         }
         // A checkpoint holds no stream: the draws up to it are repeated from the seed.
@@ -576,7 +577,7 @@ impl WakeUpRadio {
 
     /// The TTI of the next false wake-up, if the device sleeps then.
     pub(crate) const fn next_false_wake_up(&self) -> Tti {
-        self.false_wake_ups.next()
+        self.false_wake_ups.next_tti()
     }
 
     /// Consumes that TTI and returns the next one.

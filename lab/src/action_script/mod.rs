@@ -216,7 +216,7 @@ impl ScriptLine {
     fn add_to(mut self, actions: &mut Vec<OperatorAction>, line: u64, scenario: &Scenario) -> Result<(), String> {
         let ttis = scenario.run.ttis;
         for change in &mut self.changes {
-            *change = change.within(scenario.run.devices);
+            *change = change.with_all_resolved(scenario.run.devices);
             check_change(change, scenario)?;
         }
         if self.duration == Some(0) {

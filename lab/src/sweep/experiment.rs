@@ -259,7 +259,7 @@ fn is_file_field(fields: &Declaration, path: &str, value: &str) -> bool {
         .or_else(|| fields.field_by_path(path.strip_prefix("class.")?));
     match field.map(|(_, field)| &field.field_type) {
         Some(FieldType::File) => !value.is_empty(),
-        Some(FieldType::Source(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
+        Some(FieldType::WordOrFile(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
         Some(_) | None => false,
     }
 }

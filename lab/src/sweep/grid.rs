@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use reveille_bs::scenario::{Override, Scenario, ScenarioError, load_with};
+use reveille_bs::scenario::{Override, Scenario, ScenarioError, load_with_files};
 use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
@@ -265,7 +265,7 @@ fn build_cell(
     let first_seed = experiment.seeds.first.to_string();
     let seed_override = Override::from_flag("--first-seed", "seed", &first_seed);
     overrides.push(seed_override.map_err(|error| scenario_error(&label, error))?);
-    let loaded = load_with(&experiment.scenario_source(), &overrides, files);
+    let loaded = load_with_files(&experiment.scenario_source(), &overrides, files);
     let loaded = loaded.map_err(|error| scenario_error(&label, error))?;
     Ok(GridCell {
         label,

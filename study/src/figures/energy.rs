@@ -8,7 +8,7 @@
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Loaded, load_with};
+use reveille_bs::scenario::{Loaded, load_with_files};
 use reveille_common::declare::NoFiles;
 use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::units::Energy;
@@ -48,7 +48,7 @@ const MEASUREMENT_SIZE: (u32, u64, u64) = (20, 2000, 8);
 /// The measurement fails, which does not happen for a preset.
 pub fn measure_harvests(preset: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
     let (devices, ttis, seeds) = MEASUREMENT_SIZE;
-    let Ok(Loaded { mut scenario, .. }) = load_with(preset, &[], &NoFiles) else {
+    let Ok(Loaded { mut scenario, .. }) = load_with_files(preset, &[], &NoFiles) else {
         return Ok(Vec::new());
     };
     scenario.run.devices = devices;

@@ -98,7 +98,7 @@ fn area_limits(lookback: Lookback) -> [f64; AREA_BUCKETS + 1] {
     std::array::from_fn(|limit| match limit {
         0 => 0.0,
         AREA_BUCKETS => largest,
-        _ => lookback.edge(limit - 1),
+        _ => lookback.bucket_end(limit - 1),
     })
 }
 

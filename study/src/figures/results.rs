@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, Scenario, load_with};
+use reveille_bs::scenario::{Override, Scenario, load_with_files};
 use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 
@@ -273,7 +273,7 @@ fn reconstruct_scenario(
         .chain(row_assignments)
         .map(|text| Override::parse(&text))
         .collect();
-    let scenario = load_with(&row.preset, &overrides.ok()?, files).ok()?.scenario;
+    let scenario = load_with_files(&row.preset, &overrides.ok()?, files).ok()?.scenario;
     // The hash covers every setting of a run, so equal hashes rule out any other change.
     (scenario.hash() == row.scenario_hash.0).then_some(scenario)
 }

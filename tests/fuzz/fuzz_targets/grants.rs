@@ -153,7 +153,7 @@ impl Host {
         let expected_task = grant.map(|grant| WakeUpTask {
             device: (device.0 - FIRST_DEVICE) as usize,
             tti: grant.last,
-            stimulus: grant.stimulus.filter(|_| wake.tti.0 + self.latency <= grant.until.0),
+            stimulus: grant.stimulus.filter(|_| wake.tti.0 + self.latency <= grant.stimulus_last.0),
         });
         assert_eq!(self.follower.receive_wake_up(device, wake), expected_task);
     }
@@ -216,7 +216,7 @@ fn draw_grant(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage>
         last,
         stimulus,
         // From `last` to 6 TTIs after it.
-        until: draw_tti_near(last.0 + 2, input)?,
+        stimulus_last: draw_tti_near(last.0 + 2, input)?,
         wants_totals: input.arbitrary()?,
         wants_views: input.arbitrary()?,
         plan_from: if is_regular {

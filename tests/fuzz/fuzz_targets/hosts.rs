@@ -71,7 +71,7 @@ impl HostRecords {
             nonce: u64::from(input.arbitrary::<u8>()?),
             token: Secret::new(input.arbitrary()?),
             name: "a host".to_owned(),
-            count: input.int_in_range(0..=2 * DEVICES)?,
+            offered_devices: input.int_in_range(0..=2 * DEVICES)?,
             requested_at: self.now,
         })
     }
@@ -101,7 +101,7 @@ impl HostRecords {
             if !self.waits_for_lost_hosts {
                 return Ok(());
             }
-            if let Some((lost, _)) = self.lost_hosts.find_takeover(newcomer.count) {
+            if let Some((lost, _)) = self.lost_hosts.find_takeover(newcomer.offered_devices) {
                 let assignment = self.admission.take_over(newcomer, lost);
                 self.lost_hosts.reserve(lost.host, assignment.host);
                 self.add_credential(assignment, token);

@@ -37,7 +37,7 @@ struct BurstPhases {
 
 impl BurstPhases {
     fn new(bursts: EventBursts, seed: u64) -> Self {
-        let mut stream = Stream::new(seed, Purpose::Phases, 0);
+        let mut stream = Stream::new(seed, Purpose::EventPhases, 0);
         let is_busy = stream.unit() < bursts.busy_ttis / (bursts.busy_ttis + bursts.quiet_ttis);
         let mut phases = Self {
             bursts,

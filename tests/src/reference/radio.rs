@@ -66,7 +66,7 @@ impl ReferenceRadio {
         let (seed, settings) = (scenario.run.seed, scenario.radio);
         let gap_law = Geometric::new(settings.false_wake_up);
         let false_wake_ups = (0..devices as u64).map(|id| {
-            let mut stream = Stream::new(seed, Purpose::FalseWakes, id);
+            let mut stream = Stream::new(seed, Purpose::FalseWakeUps, id);
             let gap = gap_law.draw(&mut stream);
             (stream, gap)
         });

@@ -191,7 +191,7 @@ impl<'a> ReferenceWorld<'a> {
         let is_plan_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
         let missed_plans = self.radio.begin(k, is_plan_sent);
         if k >= self.warm_up_end {
-            self.losses.plans += if is_plan_sent { self.devices.len() as u64 } else { 0 };
+            self.losses.sent_plans += if is_plan_sent { self.devices.len() as u64 } else { 0 };
             self.losses.missed_plans += missed_plans;
         }
     }
@@ -394,7 +394,7 @@ impl<'a> ReferenceWorld<'a> {
         event.activity.push((j, [0, 0, 0, 1]));
         event.tally.wrong_activations += 1;
         event.tally.wasted_energy += Energy::from_micro(spent);
-        self.losses.late += u64::from(k >= self.warm_up_end);
+        self.losses.late_wake_ups += u64::from(k >= self.warm_up_end);
     }
 
     /// From S2: device `j` sends its report if it can pay for it. Returns whether the report arrives.
@@ -422,7 +422,7 @@ impl<'a> ReferenceWorld<'a> {
         let is_measured = u64::from(k >= self.warm_up_end);
         if !arrives {
             event.obstacles[3] = true;
-            self.losses.reports += is_measured;
+            self.losses.lost_reports += is_measured;
             return false;
         }
         self.arrived_reports += is_measured;
@@ -526,7 +526,7 @@ impl<'a> ReferenceWorld<'a> {
             start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
             losses: RadioLosses {
-                wake_ups: self.wake_ups,
+                sent_wake_ups: self.wake_ups,
                 ..self.losses
             },
             wake_up_span_ttis: self.wake_up_span_ttis,

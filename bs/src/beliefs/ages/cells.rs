@@ -1,7 +1,9 @@
 //! Cells of the area, with a margin of unused cells, so that the square around any disc can be read without bounds
-//! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]; `CertainStaleness` uses a margin only
-//! where the area is smaller than a square. Gains depend on the cells, therefore digests and learned tables do too;
-//! `tests/src/reference/age_index.rs` computes them again.
+//! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]. `CertainStaleness` uses a margin only
+//! in areas smaller than a square.
+//!
+//! Gains depend on the cells, therefore digests and learned tables do too. docs/age-index.md states the cells;
+//! `tests/src/reference/age_index.rs` and a test of `q-learning` compute them too.
 
 use reveille_common::geometry::{Area, Point};
 
@@ -48,7 +50,8 @@ impl Cells {
         self.raster.cell_width * self.raster.cell_height
     }
 
-    pub(super) const fn shape(&self) -> [usize; 2] {
+    /// Number of rows, and of columns, in the area.
+    pub(super) const fn rows_and_columns(&self) -> [usize; 2] {
         [self.raster.rows, self.raster.columns]
     }
 
@@ -80,6 +83,7 @@ impl Cells {
         index_along(point.y, cell_height, rows) * self.stride() + index_along(point.x, cell_width, columns)
     }
 
+    /// Returns the middle of a cell of the area.
     pub(super) fn middle(&self, row: usize, column: usize) -> Point {
         let Raster {
             cell_width,
@@ -107,8 +111,8 @@ impl Cells {
                 });
             }
         }
-        let rows = spans.len();
-        assert!(rows <= DISC_SIDE && spans.iter().all(|span| span.count <= DISC_SIDE));
+        // `CELLS_PER_RANGE` ensures it.
+        assert!(spans.len() <= DISC_SIDE && spans.iter().all(|span| span.count <= DISC_SIDE));
         spans
     }
 }

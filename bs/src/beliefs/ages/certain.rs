@@ -1,6 +1,6 @@
 //! Ages where every device in S1 within d_max detects an event and the radio loses no report. All worths are whole
-//! numbers, so sums do not depend on their order. `CertainStaleness` keeps the same ages in less memory and must give
-//! the same gains.
+//! numbers, so sums do not depend on their order. [`Ages`](super::Ages) documents the methods and their preconditions.
+//! `CertainStaleness` keeps the same ages in less memory and must give the same gains, as its test checks.
 
 use reveille_common::geometry::Point;
 
@@ -54,7 +54,7 @@ impl MaskDisc {
     }
 }
 
-/// Ages in whole TTIs.
+/// Ages in whole TTIs, at most `MAX_AGE`.
 #[derive(Clone, Debug)]
 pub(super) struct CertainAges {
     stride: usize,
@@ -67,6 +67,7 @@ pub(super) struct CertainAges {
     uncovered_worths: Vec<u8>,
     /// Number of chosen devices that cover each cell.
     cover_counts: Vec<u16>,
+    /// Indices of the cells of the area.
     area_cells: Vec<u32>,
 }
 

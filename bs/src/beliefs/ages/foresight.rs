@@ -2,7 +2,7 @@
 //!
 //! A battery that will be full soon loses later harvest, so its energy is cheap now; energy before a night is scarce.
 //! Both follow from the mean harvest of a device and, where known, from its course over the day. Digests depend on the
-//! levels, which are whole micro-units and thus the same on every machine.
+//! levels, which are whole micro-units and thus the same on every machine. docs/age-index.md states the formula.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::units::Energy;
@@ -81,6 +81,7 @@ mod tests {
     #[test]
     fn a_steady_source_yields_its_mean_less_the_cost_of_sleep() {
         let known = load_knowledge(&["devices=9"]);
+        // Mean harvest and cost of a TTI in S4 in the preset `paper`.
         let net_gain = 0.5 * libm::exp(-0.1) - 1.0 / 14.0;
         assert!((expected_level(&known, 20, 77, 50) - (20.0 + 50.0 * net_gain)).abs() < 1e-4);
         assert_eq!(
@@ -96,7 +97,7 @@ mod tests {
         );
     }
 
-    /// A day of 100 TTIs at an equinox, light from TTI 25 to 74.
+    /// A day of 100 TTIs at an equinox, the default date, with light from TTI 25 to 74.
     #[test]
     fn expected_harvest_depends_on_the_time_of_day() {
         let day = ["devices=9", "harvest.kind=diurnal", "harvest.diurnal.ttis_per_day=100"];
@@ -129,6 +130,7 @@ mod tests {
         let units = |levels: [u64; 3]| levels.map(|level| Energy::from_micro(level * 1_000_000));
         let (current, expected) = (units([50, 50, 5]), units([100, 0, 100]));
         let mut prices = Prices::new(&known, 2.0);
+        // Full, then empty: the surcharge is 3 times the price. The third device is below the lowest sensing level now.
         assert_eq!(
             prices.for_expected_levels(&current, &expected),
             [2.0, 8.0, f64::INFINITY]

@@ -1,5 +1,6 @@
 //! Worths of ages, in which gains and prices of sensing are measured. Learned tables and the weights of models were
-//! made with these worths, so a change needs new ones.
+//! made with these worths, so a change needs new ones. docs/age-index.md states the numbers below, and
+//! `tests/src/reference/age_index.rs` repeats them.
 
 use std::f64::consts::PI;
 
@@ -12,11 +13,11 @@ pub(crate) const MAX_AGE: usize = u8::MAX as usize;
 pub type AgeIndexTable = [u8; MAX_AGE + 1];
 
 /// Age in TTIs from which on the worth no longer grows: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events
-/// last longer, and places that no device covers affect no choice. `tests/src/reference/age_index.rs` repeats it.
+/// last longer, and places that no device covers affect no choice.
 const SATURATION_AGE: u8 = 22;
 
 /// Largest worth of a look, where all places have age `SATURATION_AGE` or more, in reaches: the unit of the price θ. A
-/// reach is the worth of one device's places at age 1. docs/age-index.md states the value.
+/// reach is the worth of one device's places at age 1.
 pub const MAX_WORTH: f64 = worth_at_age(SATURATION_AGE) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.

@@ -1,15 +1,18 @@
 //! Ages of all places: the time since a device last covered each of them. [`selector`] chooses the sensing devices by
-//! the worths of ages, for `age-index`, `dt` and `q-learning`; [`price`] sets the prices of the first two. `staleness`
-//! serves external policies.
+//! the worths of ages, for `age-index`, `dt` and `q-learning`; [`price`] sets the prices of the first two, for
+//! `age-index` also by the battery levels that `foresight` predicts. `staleness` serves external policies.
+//! `index_table` holds the worths, `check` the checks of scenarios, and `cells`, `certain` and `probabilistic` the ages
+//! themselves.
 //!
 //! The age of a place is the number of TTIs in which an unnoticed event may have started there, including the coming
 //! TTI. It is 1 before the first TTI. It is 1 again after a TTI in which a device in S1 covers the place. After a
 //! reported event all ages are 1: that event is closed, no other was active, and the next starts in the next TTI at the
-//! earliest. All other places age by one TTI.
+//! earliest. All other places age by one TTI, up to 255.
 //!
 //! If detection is certain within d_max, one look resets a place. If it is probabilistic, a look from distance d resets
 //! the place with probability p(d), and the age is the mean over both outcomes. The same holds if the radio may lose
-//! reports. Digests depend on every bit of a gain. `tests/src/reference/age_index.rs` computes gains a second time.
+//! reports. Digests depend on every bit of a gain. docs/age-index.md states the rule, and
+//! `tests/src/reference/age_index.rs` computes gains a second time.
 
 mod cells;
 mod certain;

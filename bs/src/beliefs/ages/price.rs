@@ -1,7 +1,7 @@
 //! Prices of TTIs in S1, and the battery level that sensing requires. Prices are in the unit of
 //! [`Ages::gain`](super::Ages::gain): a device senses if its gain exceeds its price. Digests of `age-index` and `dt`
-//! depend on both; `tests/src/reference/age_index.rs` repeats the constants. Trained models of `dt` rely on
-//! [`min_level`], which decides the feature `can_sense`.
+//! depend on both; docs/age-index.md states the formula, and `tests/src/reference/age_index.rs` repeats it. Trained
+//! models of `dt` rely on [`min_sensing_level`], which decides the feature `can_sense`.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
@@ -19,7 +19,7 @@ const EMPTY_BATTERY_SURCHARGE: f64 = 3.0;
 const RESERVE_SHARE: f64 = 0.03;
 
 /// Returns the lowest battery level at which a plan may let a device sense.
-pub fn min_level(energy: &EnergyModel) -> Energy {
+pub fn min_sensing_level(energy: &EnergyModel) -> Energy {
     let reserve = RESERVE_SHARE * energy.e_max.micro() as f64;
     energy.e_idle + energy.e_tx + Energy::from_micro(reserve as u64)
 }
@@ -37,9 +37,10 @@ pub(crate) struct Prices {
 }
 
 impl Prices {
-    /// Creates prices with the mean `price` per TTI in S1 over the devices in `known`: θ times a reach. The price of a
-    /// class is proportional to its extra energy in S1 over S4.
-    pub(crate) fn new(known: &Knowledge, price: f64) -> Self {
+    /// Creates prices for the devices in `known`. `mean_price` is the mean price of a TTI in S1 over all devices with
+    /// full batteries, in the unit of [`Ages::gain`](super::Ages::gain): θ times a reach. The price of a class is
+    /// proportional to its extra energy in S1 over S4.
+    pub(crate) fn new(known: &Knowledge, mean_price: f64) -> Self {
         let extra_energy = |energy: &EnergyModel| energy.e_idle.saturating_sub(energy.e_wur).micro() as f64;
         let energies = || known.devices.iter().map(|device| &device.energy);
         let mean_extra = energies().map(extra_energy).sum::<f64>() / known.n() as f64;
@@ -52,14 +53,14 @@ impl Prices {
             }
         };
         Self {
-            at_full_battery: energies().map(|energy| price * relative_cost(energy)).collect(),
-            min_levels: energies().map(min_level).collect(),
+            at_full_battery: energies().map(|energy| mean_price * relative_cost(energy)).collect(),
+            min_levels: energies().map(min_sensing_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
             current: vec![f64::INFINITY; known.n()],
         }
     }
 
-    /// Returns the prices for the battery `levels`.
+    /// Returns the price by device for the battery `levels`, by device id.
     pub(crate) fn for_levels(&mut self, levels: &[Energy]) -> &[f64] {
         self.scaled_for_levels(levels, |_| 1.0)
     }

@@ -1,5 +1,6 @@
-//! Mean ages where detection is probabilistic, or where the radio may lose reports. The order of float operations is
-//! fixed: the choice of devices depends on the last bit of a gain.
+//! Mean ages where detection is probabilistic, or where the radio may lose reports. [`Ages`](super::Ages) documents the
+//! methods and their preconditions. The order of float operations is fixed: the choice of devices, and so digests,
+//! depend on the last bit of a gain.
 
 use std::ops::Range;
 
@@ -8,8 +9,8 @@ use reveille_common::geometry::Point;
 use super::cells::Cells;
 use super::index_table::{AgeIndexTable, MAX_AGE};
 
-/// Cells of one row in which a device may detect an event. Their entries in `ProbabilisticAges::detected` start at
-/// `begin`.
+/// Cells of one row in which a device may detect an event. Their entries in `ProbabilisticAges::detections` start
+/// at `begin`.
 #[derive(Clone, Debug)]
 struct DetectionSpan {
     cells: Range<usize>,
@@ -25,15 +26,16 @@ pub(super) struct ProbabilisticAges {
     spans: Vec<DetectionSpan>,
     /// By cell of all spans, in order: the probability p that the device detects and reports an event there, and
     /// −ln(1 − p) in [`LOG_UNIT`]s.
-    detected: Vec<(f64, u64)>,
+    detections: Vec<(f64, u64)>,
     ages: Vec<f64>,
     /// Worth of the age of each cell; 0 outside the area.
     cell_worths: Vec<f64>,
     /// Sum of −ln(1 − p) over the chosen devices by cell, in [`LOG_UNIT`]s. Whole numbers allow exact removal of a
     /// device.
-    log_missed: Vec<u64>,
+    negative_miss_logs: Vec<u64>,
     /// Probability by cell that no chosen device detects and reports an event there.
-    missed: Vec<f64>,
+    miss_probabilities: Vec<f64>,
+    /// Indices of the cells of the area.
     area_cells: Vec<usize>,
 }
 
@@ -52,16 +54,16 @@ impl ProbabilisticAges {
         report_probability: impl Fn(f64) -> f64,
         age_worths: AgeIndexTable,
     ) -> Self {
-        let (mut span_starts, mut spans, mut detected) = (vec![0], Vec::new(), Vec::new());
+        let (mut span_starts, mut spans, mut detections) = (vec![0], Vec::new(), Vec::new());
         for &position in positions {
             for span in cells.within(position, d_max) {
                 let cell = span.row * cells.stride() + span.first_column;
                 spans.push(DetectionSpan {
                     cells: cell..cell + span.count,
-                    begin: detected.len(),
+                    begin: detections.len(),
                 });
                 let columns = span.first_column..span.first_column + span.count;
-                detected.extend(columns.map(|column| {
+                detections.extend(columns.map(|column| {
                     let p = report_probability(cells.middle(span.row, column).distance(position));
                     (p, ((-libm::log1p(-p)).min(LOG_CERTAINTY) / LOG_UNIT) as u64)
                 }));
@@ -72,11 +74,11 @@ impl ProbabilisticAges {
             age_worths,
             span_starts,
             spans,
-            detected,
+            detections,
             ages: vec![0.0; cells.len()],
             cell_worths: vec![0.0; cells.len()],
-            log_missed: vec![0; cells.len()],
-            missed: vec![1.0; cells.len()],
+            negative_miss_logs: vec![0; cells.len()],
+            miss_probabilities: vec![1.0; cells.len()],
             area_cells: cells.all().collect(),
         };
         // Before the first TTI every place has age 1, as after a reported event.
@@ -91,9 +93,11 @@ impl ProbabilisticAges {
     pub(super) fn gain(&self, j: usize) -> f64 {
         let mut sum = 0.0;
         for DetectionSpan { cells, begin } in &self.spans[self.span_range(j)] {
-            let (worths, missed) = (&self.cell_worths[cells.clone()], &self.missed[cells.clone()]);
-            for ((worth, missed), (p, _)) in worths.iter().zip(missed).zip(&self.detected[*begin..]) {
-                sum += worth * missed * p;
+            let worths = &self.cell_worths[cells.clone()];
+            let miss_probabilities = &self.miss_probabilities[cells.clone()];
+            let weights = worths.iter().zip(miss_probabilities);
+            for ((worth, miss_probability), (p, _)) in weights.zip(&self.detections[*begin..]) {
+                sum += worth * miss_probability * p;
             }
         }
         sum
@@ -102,8 +106,8 @@ impl ProbabilisticAges {
     pub(super) fn uncovered_worth(&self) -> f64 {
         self.cell_worths
             .iter()
-            .zip(&self.missed)
-            .map(|(worth, missed)| worth * missed)
+            .zip(&self.miss_probabilities)
+            .map(|(worth, miss_probability)| worth * miss_probability)
             .sum()
     }
 
@@ -112,36 +116,38 @@ impl ProbabilisticAges {
     }
 
     pub(super) fn add(&mut self, j: usize) {
-        self.update_missed(j, u64::saturating_add);
+        self.update_misses(j, u64::saturating_add);
     }
 
     pub(super) fn remove(&mut self, j: usize) {
-        self.update_missed(j, u64::saturating_sub);
+        self.update_misses(j, u64::saturating_sub);
     }
 
-    fn update_missed(&mut self, j: usize, combine: impl Fn(u64, u64) -> u64) {
+    /// Combines the logarithms of the `j`-th device with the sums, and recomputes the probabilities of a miss.
+    fn update_misses(&mut self, j: usize, combine: impl Fn(u64, u64) -> u64) {
         for DetectionSpan { cells, begin } in &self.spans[self.span_range(j)] {
-            let (log_missed, missed) = (&mut self.log_missed[cells.clone()], &mut self.missed[cells.clone()]);
-            for ((sum, missed), (_, term)) in log_missed.iter_mut().zip(missed).zip(&self.detected[*begin..]) {
-                *sum = combine(*sum, *term);
-                *missed = libm::exp(-(*sum as f64) * LOG_UNIT);
+            let log_sums = &mut self.negative_miss_logs[cells.clone()];
+            let misses = log_sums.iter_mut().zip(&mut self.miss_probabilities[cells.clone()]);
+            for ((log_sum, miss_probability), (_, log)) in misses.zip(&self.detections[*begin..]) {
+                *log_sum = combine(*log_sum, *log);
+                *miss_probability = libm::exp(-(*log_sum as f64) * LOG_UNIT);
             }
         }
     }
 
     pub(super) fn clear(&mut self) {
-        self.log_missed.fill(0);
-        self.missed.fill(1.0);
+        self.negative_miss_logs.fill(0);
+        self.miss_probabilities.fill(1.0);
     }
 
     pub(super) fn advance(&mut self, is_event_reported: bool) {
         for &cell in &self.area_cells {
-            let old = if is_event_reported {
+            let unseen_age = if is_event_reported {
                 0.0
             } else {
-                self.ages[cell] * self.missed[cell]
+                self.ages[cell] * self.miss_probabilities[cell]
             };
-            self.ages[cell] = (old + 1.0).min(MAX_AGE as f64);
+            self.ages[cell] = (unseen_age + 1.0).min(MAX_AGE as f64);
             self.cell_worths[cell] = self.worth_of(self.ages[cell]);
         }
         self.clear();

@@ -1,5 +1,6 @@
 //! Ages for devices that only record looks, without choosing devices ahead or removing them. The history of external
-//! policies (`policy/external/history.rs`) reads them as features, so values must be bit-equal to the ages in [`Ages`].
+//! policies (`policy/external/history.rs`) reads their worths as features, so these must be bit-equal to the gains in
+//! [`Ages`], as a test below checks.
 //!
 //! An environment keeps these ages for each of its runs and reads all devices in each step. So they are small: three
 //! bytes per cell and 36 per device.
@@ -70,7 +71,7 @@ impl Staleness {
     /// Returns the worth of a look of the `j`-th device, ≥ 1, relative to its worth right after a look. A device
     /// without cells has worth 1.
     #[inline]
-    pub(crate) fn staleness(&self, j: usize) -> f64 {
+    pub(crate) fn device_staleness(&self, j: usize) -> f64 {
         let fresh = self.fresh_worths[j];
         if fresh > 0.0 { self.worth(j) / fresh } else { 1.0 }
     }
@@ -96,21 +97,22 @@ impl Staleness {
     }
 }
 
-/// Cells that a device covers. In row i of the square at `corner`, these are `rows[i].1` cells starting at `rows[i].0`.
+/// Cells that a device covers. In row i of the square at `corner`, these are `row_spans[i].1` cells from column
+/// `row_spans[i].0` of the square on.
 #[derive(Clone, Debug)]
 struct RowDisc {
     corner: u32,
-    rows: [(u8, u8); DISC_SIDE],
+    row_spans: [(u8, u8); DISC_SIDE],
 }
 
 impl RowDisc {
-    /// Returns the first cell and the end of each row.
+    /// Returns the index of the first covered cell of each row, and the index after the last.
     #[inline]
-    fn rows(&self, stride: usize) -> impl Iterator<Item = (usize, usize)> {
-        let begins = (0..).map(move |i| self.corner as usize + i * stride);
-        let rows = begins.zip(&self.rows);
-        rows.map(|(begin, (first, count))| {
-            let first = begin + usize::from(*first);
+    fn cell_ranges(&self, stride: usize) -> impl Iterator<Item = (usize, usize)> {
+        let row_begins = (0..).map(move |i| self.corner as usize + i * stride);
+        let rows = row_begins.zip(&self.row_spans);
+        rows.map(|(row_begin, (first, count))| {
+            let first = row_begin + usize::from(*first);
             (first, first + usize::from(*count))
         })
     }
@@ -134,7 +136,7 @@ struct CertainStaleness {
 impl CertainStaleness {
     fn new(area: Area, positions: &[Point], d_max: f64) -> Self {
         let cells = Cells::new(area, d_max);
-        let [rows, columns] = cells.shape();
+        let [rows, columns] = cells.rows_and_columns();
         let (stride, height) = (columns.max(DISC_SIDE), rows.max(DISC_SIDE));
         let disc = |&p: &Point| {
             let spans = cells.within(p, d_max);
@@ -142,13 +144,13 @@ impl CertainStaleness {
             let south = spans.first().map_or(0, |span| span.row).min(height - DISC_SIDE);
             let west = spans.iter().map(|span| span.first_column).min().unwrap_or(0);
             let west = west.min(stride - DISC_SIDE);
-            let mut rows = [(0, 0); DISC_SIDE];
+            let mut row_spans = [(0, 0); DISC_SIDE];
             for span in &spans {
-                rows[span.row - south] = ((span.first_column - west) as u8, span.count as u8);
+                row_spans[span.row - south] = ((span.first_column - west) as u8, span.count as u8);
             }
             RowDisc {
                 corner: (south * stride + west) as u32,
-                rows,
+                row_spans,
             }
         };
         let mut certain = Self {
@@ -169,7 +171,7 @@ impl CertainStaleness {
     fn add(&mut self, j: usize) {
         let disc = &self.discs[j];
         let mut begin = disc.corner as usize;
-        for (first, count) in &disc.rows {
+        for (first, count) in &disc.row_spans {
             let ages = self.ages[begin..].first_chunk_mut::<DISC_SIDE>().expect(SQUARE_FITS);
             begin += self.stride;
             // One byte per cell, the first cell in the lowest byte.
@@ -216,8 +218,9 @@ impl CertainStaleness {
     /// Returns the worth of a look, at most 16 · 16 · 255.
     #[inline]
     fn worth(&self, j: usize) -> u32 {
-        let rows = self.discs[j].rows(self.stride);
-        rows.map(|(first, end)| u32::from(self.prefix_sums[end].wrapping_sub(self.prefix_sums[first])))
+        let ranges = self.discs[j].cell_ranges(self.stride);
+        ranges
+            .map(|(first, end)| u32::from(self.prefix_sums[end].wrapping_sub(self.prefix_sums[first])))
             .sum()
     }
 }
@@ -266,7 +269,7 @@ mod tests {
                             1.0
                         };
                         assert_eq!(
-                            staleness.staleness(j).to_bits(),
+                            staleness.device_staleness(j).to_bits(),
                             expected.to_bits(),
                             "{kind:?}, loss {loss_probability}, {width} m wide, device {j}"
                         );

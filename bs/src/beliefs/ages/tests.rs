@@ -1,5 +1,6 @@
 //! Tests of [`Ages`]: the age of each cell, and the gain of letting a device sense, against a slow computation over all
-//! devices and cells from the definition.
+//! devices and cells from the definition; also the largest age, the cells in range, and the removal of devices. Lost
+//! reports are not tested here. The worths repeat the definition, not `index_table`.
 
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
@@ -59,14 +60,14 @@ fn ages_and_gains_equal_their_definition() {
     for kind in KINDS {
         for (seed, (width, height)) in (0..).zip(AREAS) {
             let area = Area { width, height };
-            let points = place_devices(&Layout::Uniform, area, DEVICES as u32, 5);
-            let mut ages = Ages::new(&points, area, &sensing(kind), triangular_worths());
+            let positions = place_devices(&Layout::Uniform, area, DEVICES as u32, 5);
+            let mut ages = Ages::new(&positions, area, &sensing(kind), triangular_worths());
             let places = cell_middles(&ages);
             let mut expected_ages = vec![1.0_f64; places.len()];
             let mut stream = Stream::new(seed, Purpose::Epicentre, 0);
             for k in 0..60 {
                 let sensing_devices: Vec<usize> = (0..DEVICES).filter(|_| stream.unit() < 0.07).collect();
-                let detection = |place: Point, j: usize| detection_probability(kind, points[j], place);
+                let detection = |place: Point, j: usize| detection_probability(kind, positions[j], place);
                 let miss_probability = |place: Point| {
                     sensing_devices
                         .iter()
@@ -141,15 +142,15 @@ fn the_gain_covers_exactly_the_area_in_range() {
     const DRAWS: u32 = 20_000;
     for (width, height) in AREAS {
         let area = Area { width, height };
-        let points = place_devices(&Layout::Uniform, area, 12, 9);
+        let positions = place_devices(&Layout::Uniform, area, 12, 9);
         // Only age 1 is worth 1, so the gain is the number of cells in range.
         let mut only_age_one = [0; index_table::MAX_AGE + 1];
         only_age_one[1] = 1;
-        let ages = Ages::new(&points, area, &sensing(DetectionKind::Range), only_age_one);
+        let ages = Ages::new(&positions, area, &sensing(DetectionKind::Range), only_age_one);
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
-        for (j, point) in points.iter().enumerate() {
+        for (j, position) in positions.iter().enumerate() {
             let mut draw_place = || Point::new(width * stream.unit(), height * stream.unit());
-            let in_range = (0..DRAWS).filter(|_| draw_place().distance(*point) <= D_MAX).count();
+            let in_range = (0..DRAWS).filter(|_| draw_place().distance(*position) <= D_MAX).count();
             let expected_share = in_range as f64 / f64::from(DRAWS);
             let share = ages.gain(j) * ages.cell_surface() / area.surface();
             // The error of the draws is about 0.004, and the border of the range is made of whole cells.
@@ -169,8 +170,8 @@ fn removing_or_clearing_all_devices_restores_the_gains() {
             width: 20.0,
             height: 20.0,
         };
-        let points = place_devices(&Layout::Uniform, area, DEVICES as u32, 2);
-        let mut ages = Ages::new(&points, area, &sensing(kind), triangular_worths());
+        let positions = place_devices(&Layout::Uniform, area, DEVICES as u32, 2);
+        let mut ages = Ages::new(&positions, area, &sensing(kind), triangular_worths());
         (0..4).for_each(|_| ages.advance(false));
         let initial_gains: Vec<f64> = (0..DEVICES).map(|j| ages.gain(j)).collect();
         // Exactly, since the ages add logarithms of probabilities as whole numbers.

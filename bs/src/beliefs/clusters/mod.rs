@@ -2,7 +2,7 @@
 //! policy `knn`.
 //!
 //! `tests/src/reference/clusters.rs` computes the same clusters exhaustively. Ties and the order of random draws are
-//! part of the result.
+//! part of the result, and so of digests and of the cluster numbers in maps.
 
 use std::f64::consts::PI;
 
@@ -261,7 +261,7 @@ fn halve(points: &[Point], members: &[DeviceId], centroid: Point) -> [Vec<Device
     halves
 }
 
-/// Returns the position of the member farthest from `origin`; ties go to the lowest number.
+/// Returns the position of the member farthest from `origin`; ties go to the first in `members`.
 fn farthest(points: &[Point], members: &[DeviceId], origin: Point) -> Point {
     let positions = members.iter().map(|j| points[j.index()]);
     positions.fold(origin, |far, p| {

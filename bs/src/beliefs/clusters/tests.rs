@@ -16,7 +16,7 @@ const AREA: Area = Area {
     height: 20.0,
 };
 
-/// The default settings of `knn`.
+/// The default settings of `knn`, which `policy/knn.rs` declares.
 const PAPER_SETTINGS: ClusterSettings = ClusterSettings {
     neighbours: 5,
     limit_radius: true,

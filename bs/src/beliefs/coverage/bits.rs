@@ -6,8 +6,9 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Exclusive limit on the rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width
-/// w, either c ≤ 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole cells.
+/// Exclusive limit on the rows, and columns, of cells that a device covers: the bits of a row fit a `u32`. With c =
+/// ⌈15 w/d_max⌉ cells along a width w (`cells_per_range`), either c ≤ 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells
+/// long and holds no more whole cells.
 pub(super) const DISC_SIDE: usize = 32;
 
 /// The cells covered by at least one device, and those covered by at least two.
@@ -37,11 +38,13 @@ pub(super) struct BitDisc {
 }
 
 impl BitDisc {
-    pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
-        let [south_to_north, west_to_east] = raster.disc_bounds(p, d_max);
-        // The cells of a row are adjacent: distances fall towards `p` and rise beyond it, however they are rounded.
+    /// Creates the disc of a device at `position`. `stride` is the number of words per tile of [`CoverageBits`].
+    pub(super) fn new(raster: &Raster, stride: usize, position: Point, d_max: f64) -> Self {
+        let [south_to_north, west_to_east] = raster.disc_bounds(position, d_max);
+        // The cells of a row are adjacent: distances fall towards the device and rise beyond it, however they are
+        // rounded.
         let row_span = |row: usize| {
-            let is_inside = |column: &usize| raster.cell_distances(row, *column, p).0 <= d_max;
+            let is_inside = |column: &usize| raster.cell_distances(row, *column, position).0 <= d_max;
             let first = west_to_east.clone().find(is_inside)?;
             let last = west_to_east.clone().rfind(is_inside)?;
             Some((row, first, last))
@@ -73,7 +76,7 @@ impl CoverageBits {
             covered_twice: vec![0; words],
             discs: positions
                 .iter()
-                .map(|&p| BitDisc::new(raster, stride, p, d_max))
+                .map(|&position| BitDisc::new(raster, stride, position, d_max))
                 .collect(),
             covered_count: 0,
         }

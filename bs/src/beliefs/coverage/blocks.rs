@@ -6,6 +6,8 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
+/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. `CoverageBits::uncovered_from`
+/// limits it to 33.
 const BLOCK_SIDE: usize = 4;
 
 /// The cells that devices can cover, in blocks of neighbours, the most confined blocks first. Few devices reach a
@@ -20,7 +22,7 @@ pub(super) struct CellBlocks {
     pub(super) devices: Vec<u32>,
 }
 
-/// A block of cells: its corner, and the ranges (start, end) of its cells and devices in [`CellBlocks`].
+/// A block of cells: its south-west corner, and the ranges (start, end) of its cells and devices in [`CellBlocks`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub(super) row: u32,
@@ -56,14 +58,15 @@ impl CellBlocks {
         };
         let blocks_per_row = raster.columns.div_ceil(BLOCK_SIDE);
         let mut devices_by_block: Vec<Vec<u32>> = vec![Vec::new(); raster.rows.div_ceil(BLOCK_SIDE) * blocks_per_row];
-        for (j, &p) in positions.iter().enumerate() {
-            let [rows, columns] = raster
-                .disc_bounds(p, d_max)
+        for (j, &position) in positions.iter().enumerate() {
+            let [block_rows, block_columns] = raster
+                .disc_bounds(position, d_max)
                 .map(|cells| cells.start / BLOCK_SIDE..cells.end.div_ceil(BLOCK_SIDE));
-            for block in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
-                let corner = ((block.0 * BLOCK_SIDE) as u32, (block.1 * BLOCK_SIDE) as u32);
+            let blocks = block_rows.flat_map(|row| block_columns.clone().map(move |column| (row, column)));
+            for (block_row, block_column) in blocks {
+                let corner = ((block_row * BLOCK_SIDE) as u32, (block_column * BLOCK_SIDE) as u32);
                 if cells_at(corner).any(|(row, column)| reaches(j, row, column)) {
-                    devices_by_block[block.0 * blocks_per_row + block.1].push(j as u32);
+                    devices_by_block[block_row * blocks_per_row + block_column].push(j as u32);
                 }
             }
         }
@@ -75,13 +78,13 @@ impl CellBlocks {
         };
         let middle =
             |index: usize, count: u32| (index as u32 * BLOCK_SIDE as u32 + BLOCK_SIDE as u32 / 2).min(count - 1);
-        let ranked_block = |i: usize| {
+        let area_and_block = |i: usize| {
             (
                 area_in_reach(middle(i / blocks_per_row, rows), middle(i % blocks_per_row, columns)),
                 i,
             )
         };
-        let mut order: Vec<(u64, usize)> = (0..devices_by_block.len()).map(ranked_block).collect();
+        let mut order: Vec<(u64, usize)> = (0..devices_by_block.len()).map(area_and_block).collect();
         order.sort_unstable();
         let (mut blocks, mut cells, mut devices) = (Vec::new(), Vec::new(), Vec::new());
         for (_, i) in order {

@@ -2,7 +2,8 @@
 //!
 //! `Coverage` answers gain and loss of single devices, from which `q-learning` with a window chooses those that sense;
 //! its digests and learned tables depend on the counts. [`CoverageUnion`] gives only the total, for rewards, in less
-//! memory. Both give bit-equal results.
+//! memory. Both give bit-equal results. `tests/src/reference/q_learning.rs` and a test of the training repeat the cell
+//! sizes.
 
 mod bits;
 mod blocks;
@@ -164,7 +165,9 @@ impl Coverage {
         let cells = self.raster.cell_count() as f64;
         match &self.model {
             CoverageModel::Range(bits) => (cells - f64::from(bits.covered_count())) / cells,
-            CoverageModel::Probabilistic(shares) => shares.uncovered() as f64 / f64::from(QUANTA_PER_CELL) / cells,
+            CoverageModel::Probabilistic(shares) => {
+                shares.uncovered_quanta() as f64 / f64::from(QUANTA_PER_CELL) / cells
+            }
         }
     }
 
@@ -188,7 +191,7 @@ impl Coverage {
             ..
         } = self.cell_blocks.blocks[block];
         let uncovered = (row..row + rows).fold(0, |uncovered, row| uncovered | bits.uncovered_from(row, column));
-        // The word also holds columns beyond the block, which has at most 4.
+        // The word also holds columns beyond the block.
         uncovered & ((1 << columns) - 1) != 0
     }
 
@@ -249,8 +252,8 @@ mod tests {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             for (width, height) in AREAS {
                 let area = Area { width, height };
-                let points = place_devices(&Layout::Uniform, area, 40, 5);
-                let mut coverage = Coverage::new(&points, area, &sensing(kind));
+                let positions = place_devices(&Layout::Uniform, area, 40, 5);
+                let mut coverage = Coverage::new(&positions, area, &sensing(kind));
                 let mut covered = 0.0;
                 assert!((coverage.uncovered() - 1.0).abs() < 1e-12);
                 for j in 0..40 {
@@ -273,8 +276,8 @@ mod tests {
     fn covered_cells_are_in_range_and_cover_most_of_it() {
         for (width, height) in AREAS {
             let area = Area { width, height };
-            let points = place_devices(&Layout::Uniform, area, 8, 7);
-            let mut coverage = Coverage::new(&points, area, &sensing(DetectionKind::Range));
+            let positions = place_devices(&Layout::Uniform, area, 8, 7);
+            let mut coverage = Coverage::new(&positions, area, &sensing(DetectionKind::Range));
             (0..8).for_each(|j| coverage.add(j));
             let mut stream = Stream::new(1, Purpose::Epicentre, 0);
             let (draws, mut in_range, mut covered) = (40_000, 0, 0);
@@ -291,7 +294,7 @@ mod tests {
                 );
                 let is_covered = bits.uncovered_from(row as u32, column as u32) & 1 == 0;
                 assert_eq!(is_covered, is_in_any_disc(row as u32, column as u32));
-                let is_in_range = points.iter().any(|device| device.distance(place) <= 4.0);
+                let is_in_range = positions.iter().any(|device| device.distance(place) <= 4.0);
                 assert!(
                     is_in_range || !is_covered,
                     "{place:?} is covered, and no device is within d_max"
@@ -299,6 +302,7 @@ mod tests {
                 in_range += u32::from(is_in_range);
                 covered += u32::from(is_covered);
             }
+            // A disc loses the cells that its border cuts, about 8 % of its area; the limit leaves a margin.
             assert!(
                 f64::from(covered) > 0.87 * f64::from(in_range),
                 "{width} m wide: {covered} of {in_range} places in range are covered"

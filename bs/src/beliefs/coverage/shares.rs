@@ -1,6 +1,6 @@
 //! Coverage where detection is probabilistic: the uncovered share of each cell. [`Coverage`](super::Coverage) and
 //! [`CoverageUnion`](super::CoverageUnion) both use it. Each device rounds down, so the order of additions is part of
-//! the result.
+//! the result, and so of digests, rewards and learned tables.
 
 use reveille_common::geometry::Point;
 use reveille_common::sensing::Sensing;
@@ -18,113 +18,117 @@ pub(super) const QUANTA_PER_CELL: u16 = u16::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct UncoveredShares {
     /// Uncovered quanta of each cell, row by row, followed by padding for the last spans.
-    uncovered: Vec<u16>,
+    quanta_by_cell: Vec<u16>,
     cell_count: usize,
-    /// The rows of device j are `rows[row_starts[j] .. row_starts[j + 1]]`.
-    row_starts: Vec<u32>,
-    rows: Vec<CellSpan>,
+    /// The spans of device j are `spans[span_starts[j] .. span_starts[j + 1]]`.
+    span_starts: Vec<u32>,
+    spans: Vec<PaddedSpan>,
     /// p(d) of the cells of all spans, in order, in 65536ths.
-    detected: Vec<u16>,
+    probabilities: Vec<u16>,
 }
 
 /// Cells of one grid row in which a device may detect an event, padded to a multiple of [`LANES`] with cells of p(d) =
 /// 0.
 #[derive(Clone, Copy, Debug)]
-struct CellSpan {
+struct PaddedSpan {
     /// Index of the first cell.
     first_cell: u32,
-    /// Index of its p(d) in `UncoveredShares::detected`.
-    first_detected: u32,
+    /// Index of its p(d) in `UncoveredShares::probabilities`.
+    first_probability: u32,
     length: u32,
 }
 
-impl CellSpan {
+impl PaddedSpan {
     fn cells(self) -> std::ops::Range<usize> {
         self.first_cell as usize..(self.first_cell + self.length) as usize
     }
 
-    fn detected(self) -> std::ops::Range<usize> {
-        self.first_detected as usize..(self.first_detected + self.length) as usize
+    fn probabilities(self) -> std::ops::Range<usize> {
+        self.first_probability as usize..(self.first_probability + self.length) as usize
     }
 }
 
 /// Returns the quanta that a device newly covers in a cell with `uncovered` quanta, rounded down. The device detects an
-/// event in the cell with probability `detected`/65536.
+/// event in the cell with probability `probability`/65536.
 #[inline]
-const fn newly_covered(uncovered: u16, detected: u16) -> u16 {
-    ((uncovered as u32 * detected as u32) >> 16) as u16
+const fn newly_covered(uncovered: u16, probability: u16) -> u16 {
+    ((uncovered as u32 * probability as u32) >> 16) as u16
 }
 
 impl UncoveredShares {
     pub(super) fn new(raster: &Raster, positions: &[Point], sensing: &Sensing) -> Self {
-        let (mut row_starts, mut rows, mut detected) = (vec![0], Vec::new(), Vec::new());
-        for &p in positions {
-            let [south_to_north, west_to_east] = raster.disc_bounds(p, sensing.d_max);
+        let (mut span_starts, mut spans, mut probabilities) = (vec![0], Vec::new(), Vec::new());
+        for &position in positions {
+            let [south_to_north, west_to_east] = raster.disc_bounds(position, sensing.d_max);
             for row in south_to_north {
-                let begin = detected.len();
+                let begin = probabilities.len();
                 let mut first = None;
                 // The cells of a row that are near enough are adjacent.
                 for column in west_to_east.clone() {
-                    let (_, distance) = raster.cell_distances(row, column, p);
+                    let (_, distance) = raster.cell_distances(row, column, position);
                     if distance <= sensing.d_max {
                         first = first.or(Some(column));
-                        // p = 1 would be 65536, which does not fit.
-                        detected.push((sensing.p(distance) * 65536.0).round().min(f64::from(u16::MAX)) as u16);
+                        // p(0) = 1 would be 65536, which does not fit.
+                        probabilities.push((sensing.p(distance) * 65536.0).round().min(f64::from(u16::MAX)) as u16);
                     }
                 }
-                let length = (detected.len() - begin).next_multiple_of(LANES);
-                detected.resize(begin + length, 0);
-                rows.extend(first.map(|column| CellSpan {
+                let length = (probabilities.len() - begin).next_multiple_of(LANES);
+                probabilities.resize(begin + length, 0);
+                spans.extend(first.map(|column| PaddedSpan {
                     first_cell: (row * raster.columns + column) as u32,
-                    first_detected: begin as u32,
+                    first_probability: begin as u32,
                     length: length as u32,
                 }));
             }
-            row_starts.push(rows.len() as u32);
+            span_starts.push(spans.len() as u32);
         }
         Self {
-            uncovered: vec![QUANTA_PER_CELL; raster.cell_count() + LANES],
+            quanta_by_cell: vec![QUANTA_PER_CELL; raster.cell_count() + LANES],
             cell_count: raster.cell_count(),
-            row_starts,
-            rows,
-            detected,
+            span_starts,
+            spans,
+            probabilities,
         }
     }
 
     pub(super) fn clear(&mut self) {
-        self.uncovered.fill(QUANTA_PER_CELL);
+        self.quanta_by_cell.fill(QUANTA_PER_CELL);
     }
 
     /// Returns the uncovered area in quanta.
-    pub(super) fn uncovered(&self) -> u64 {
-        self.uncovered[..self.cell_count]
+    pub(super) fn uncovered_quanta(&self) -> u64 {
+        self.quanta_by_cell[..self.cell_count]
             .iter()
             .map(|&quanta| u64::from(quanta))
             .sum()
     }
 
+    fn span_range(&self, j: usize) -> std::ops::Range<usize> {
+        self.span_starts[j] as usize..self.span_starts[j + 1] as usize
+    }
+
     /// Returns the area that the `j`-th device would newly cover, in quanta.
     pub(super) fn gain(&self, j: usize) -> u64 {
-        let mut lanes = [0; LANES];
-        for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
-            let (uncovered, _) = self.uncovered[row.cells()].as_chunks::<LANES>();
-            let (detected, _) = self.detected[row.detected()].as_chunks::<LANES>();
-            for (uncovered, detected) in uncovered.iter().zip(detected) {
+        let mut sums = [0; LANES];
+        for span in &self.spans[self.span_range(j)] {
+            let (quanta_chunks, _) = self.quanta_by_cell[span.cells()].as_chunks::<LANES>();
+            let (probability_chunks, _) = self.probabilities[span.probabilities()].as_chunks::<LANES>();
+            for (quanta, probabilities) in quanta_chunks.iter().zip(probability_chunks) {
                 for lane in 0..LANES {
-                    lanes[lane] += u32::from(newly_covered(uncovered[lane], detected[lane]));
+                    sums[lane] += u32::from(newly_covered(quanta[lane], probabilities[lane]));
                 }
             }
         }
-        lanes.into_iter().map(u64::from).sum()
+        sums.into_iter().map(u64::from).sum()
     }
 
     /// Adds a device that was not added before.
     pub(super) fn add(&mut self, j: usize) {
-        for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
-            let uncovered = &mut self.uncovered[row.cells()];
-            for (uncovered, &detected) in uncovered.iter_mut().zip(&self.detected[row.detected()]) {
-                // No underflow: `detected` is below 2¹⁶, so the product shifted by 16 bits is at most `uncovered`.
-                *uncovered -= newly_covered(*uncovered, detected);
+        for span in &self.spans[self.span_range(j)] {
+            let cells = self.quanta_by_cell[span.cells()].iter_mut();
+            for (uncovered, &probability) in cells.zip(&self.probabilities[span.probabilities()]) {
+                // No underflow: `probability` is below 2¹⁶, so the product shifted by 16 bits is at most `uncovered`.
+                *uncovered -= newly_covered(*uncovered, probability);
             }
         }
     }

@@ -50,7 +50,7 @@ impl CoverageUnion {
             UnionModel::Probabilistic(shares) => {
                 shares.clear();
                 devices.for_each(|j| shares.add(j));
-                shares.uncovered() as f64 / f64::from(QUANTA_PER_CELL) / self.cell_count
+                shares.uncovered_quanta() as f64 / f64::from(QUANTA_PER_CELL) / self.cell_count
             }
         }
     }
@@ -76,7 +76,7 @@ impl UnionTiles {
             covered: vec![0; (raster.columns.div_ceil(64) + 1) * stride],
             discs: positions
                 .iter()
-                .map(|&p| BitDisc::new(raster, disc_stride, p, d_max))
+                .map(|&position| BitDisc::new(raster, disc_stride, position, d_max))
                 .collect(),
         }
     }

@@ -1,6 +1,7 @@
 //! A belief over the epicentre of an event, with the devices ranked by the information that they are expected to add.
 //! [`WakeUpCandidates`](super::candidates::WakeUpCandidates) uses it; observers of a run receive its points. Digests
-//! and frames depend on every bit, so the order of points and factors is fixed.
+//! and frames depend on every bit, so the order of points and factors is fixed. docs/q-learning.md states the numbers
+//! of points and the factor for silence. The tests next to this file are the only second computation.
 //!
 //! A report puts the epicentre on a ring around the reporter, held as points. A second report leaves the two points
 //! where the rings meet, a third leaves one of them. A silent device in S1 makes the points in its range unlikely.
@@ -29,6 +30,9 @@ const RULED_OUT_FACTOR: f64 = 1e-12;
 const RING_TOLERANCE: f64 = 1e-6;
 
 /// A belief over the epicentre of one event at a time, with the devices ranked by their expected gain.
+///
+/// [`Self::start_event`] begins an event. The first reports follow, then [`Self::observe_silence`] once. After that,
+/// candidates are taken and further reports added, in any order. All calls of one event need the same prior.
 #[derive(Clone, Debug)]
 pub struct EpicentreBelief {
     sensing: Sensing,
@@ -143,7 +147,7 @@ impl EpicentreBelief {
         }
     }
 
-    /// Begins an event.
+    /// Begins an event: forgets the last one.
     pub fn start_event(&mut self) {
         self.points.clear();
         self.rings.clear();
@@ -238,9 +242,10 @@ impl EpicentreBelief {
     fn thin_points(&mut self) {
         let max_weight = self.points.iter().map(|point| point.weight).fold(0.0, f64::max);
         let is_likely = |point: &RingPoint| point.weight > 0.5 * max_weight;
-        let likely = self.points.iter().filter(|point| is_likely(point)).count();
+        let likely_count = self.points.iter().filter(|point| is_likely(point)).count();
         // A group without points gets a stride of 1, since the stride divides below.
-        let strides = [self.points.len() - likely, likely].map(|count| count.div_ceil(MAX_POINTS_PER_GROUP).max(1));
+        let strides =
+            [self.points.len() - likely_count, likely_count].map(|count| count.div_ceil(MAX_POINTS_PER_GROUP).max(1));
         let mut counts = [0; 2];
         self.points.retain_mut(|point| {
             let group = usize::from(is_likely(point));
@@ -262,15 +267,17 @@ impl EpicentreBelief {
     ) -> Option<(DeviceId, f64)> {
         let &(centre, d) = self.rings.first()?;
         // Never 0: a point with the fewest steps has its value as weight, which is at least `SCALE_STEP`.
-        let sum: f64 = self.points.iter().map(|point| point.weight).sum();
+        let weight_sum: f64 = self.points.iter().map(|point| point.weight).sum();
+        // Score, gain and device.
         let mut best: Option<(f64, f64, DeviceId)> = None;
         let mut consider = |j: usize| {
             let device = DeviceId(j as u32);
             if self.is_excluded[j] || !is_candidate(device) {
                 return;
             }
-            let (gain, missed) = self.gain_and_miss(self.positions[j], information);
-            let (gain, score) = (gain / sum, (gain - self.miss_cost * missed) / sum);
+            let (gain, missed_weight) = self.gain_and_missed_weight(self.positions[j], information);
+            let score = (gain - self.miss_cost * missed_weight) / weight_sum;
+            let gain = gain / weight_sum;
             let is_better = best.is_none_or(|(best_score, _, best_device)| match score.total_cmp(&best_score) {
                 Ordering::Greater => true,
                 Ordering::Equal => device < best_device,
@@ -302,11 +309,11 @@ impl EpicentreBelief {
 
     /// Returns the possible epicentres with weights that sum to 1; empty before the first report.
     pub fn weighted_points(&self) -> Vec<WeightedPoint> {
-        let sum: f64 = self.points.iter().map(|point| point.weight).sum();
+        let weight_sum: f64 = self.points.iter().map(|point| point.weight).sum();
         let with_share = |point: &RingPoint| WeightedPoint {
             x: point.position.x as f32,
             y: point.position.y as f32,
-            share: (point.weight / sum) as f32,
+            share: (point.weight / weight_sum) as f32,
         };
         self.points.iter().map(with_share).collect()
     }
@@ -324,19 +331,19 @@ impl EpicentreBelief {
 
     /// Returns the gain from a device at `position`, and the weight of points too far from it, both as weighted sums
     /// over the points.
-    fn gain_and_miss(&self, position: Point, information: f64) -> (f64, f64) {
+    fn gain_and_missed_weight(&self, position: Point, information: f64) -> (f64, f64) {
         let Sensing { d_max, eta, psi, .. } = self.sensing;
-        let (mut gain, mut missed) = (0.0, 0.0);
+        let (mut gain, mut missed_weight) = (0.0, 0.0);
         for point in &self.points {
             let d = point.position.distance(position);
             if d > d_max {
-                missed += point.weight;
+                missed_weight += point.weight;
             } else {
-                let report = psi * exp_negative(eta * d);
-                gain += point.weight * (self.sensing.fuse(information, report) - information);
+                let report_information = psi * exp_negative(eta * d);
+                gain += point.weight * (self.sensing.fuse(information, report_information) - information);
             }
         }
-        (gain, missed)
+        (gain, missed_weight)
     }
 
     fn exclude(&mut self, device: DeviceId) {

@@ -1,5 +1,5 @@
 //! Tests of [`EpicentreBelief`]: its points, weights and candidates against sums over the points of a ring, as
-//! docs/q-learning.md defines them.
+//! docs/q-learning.md defines them. Lost reports ([`EpicentreBelief::with_loss`]) are not tested here.
 
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
@@ -27,23 +27,23 @@ fn sensing_with(g: Fusion) -> Sensing {
 fn three_reports_locate_the_event_and_its_closest_device() {
     let mut stream = Stream::new(3, Purpose::Epicentre, 0);
     for seed in 0..200 {
-        let points = place_devices(&Layout::Uniform, AREA, 60, seed);
+        let positions = place_devices(&Layout::Uniform, AREA, 60, seed);
         let event = Point::new(20.0 * stream.unit(), 20.0 * stream.unit());
-        let mut in_range: Vec<usize> = (0..60).filter(|&j| points[j].distance(event) <= D_MAX).collect();
+        let mut in_range: Vec<usize> = (0..60).filter(|&j| positions[j].distance(event) <= D_MAX).collect();
         if in_range.len() < 5 {
             continue;
         }
         let closest = *in_range
             .iter()
-            .min_by(|&&a, &&b| points[a].distance(event).total_cmp(&points[b].distance(event)))
+            .min_by(|&&a, &&b| positions[a].distance(event).total_cmp(&positions[b].distance(event)))
             .expect("a device");
         in_range.retain(|&j| j != closest);
         let sensing = sensing_with(Fusion::Max);
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
+        let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         belief.start_event();
         let mut information: f64 = 0.0;
         for &j in in_range.iter().rev().take(3) {
-            let d = points[j].distance(event);
+            let d = positions[j].distance(event);
             belief.add_reporter(DeviceId(j as u32), d, uniform_prior);
             information = information.max(sensing.p(d));
         }
@@ -54,7 +54,7 @@ fn three_reports_locate_the_event_and_its_closest_device() {
         );
         let (next, gain) = belief.next_candidate(information, |_| true).expect("a device adds");
         assert_eq!(next.index(), closest, "seed {seed}");
-        let expected_gain = sensing.p(points[closest].distance(event)) - information;
+        let expected_gain = sensing.p(positions[closest].distance(event)) - information;
         assert!(
             belief.points.len() > 1 || (gain - expected_gain).abs() < 1e-5,
             "seed {seed}: gain {gain}, not {expected_gain}"
@@ -62,13 +62,13 @@ fn three_reports_locate_the_event_and_its_closest_device() {
     }
 }
 
-/// Probability that a device reports an event that it detects: one in fifty fails to do so.
+/// Probability that a device reports an event that it detects: one in fifty fails to do so, as in docs/q-learning.md.
 const REPORT_PROBABILITY: f64 = 0.98;
 
 /// The belief after a first report by plain sums. Each point on the reporter's ring is weighted by the silence of the
 /// other devices in S1.
 struct BeliefDefinition<'a> {
-    points: &'a [Point],
+    positions: &'a [Point],
     sensing: &'a Sensing,
     reporter: usize,
     /// Distance of the epicentre from the reporter, m.
@@ -81,9 +81,9 @@ struct BeliefDefinition<'a> {
 
 impl<'a> BeliefDefinition<'a> {
     /// Creates the case in which only the reporter senses.
-    fn alone(points: &'a [Point], sensing: &'a Sensing, reporter: u32, d: f64) -> Self {
+    fn alone(positions: &'a [Point], sensing: &'a Sensing, reporter: u32, d: f64) -> Self {
         Self {
-            points,
+            positions,
             sensing,
             reporter: reporter as usize,
             d,
@@ -94,7 +94,7 @@ impl<'a> BeliefDefinition<'a> {
 
     /// Returns the points in the area, out of `count` in all directions, with their weights.
     fn places(&self, count: u32) -> Vec<(Point, f64)> {
-        let centre = self.points[self.reporter];
+        let centre = self.positions[self.reporter];
         let on_ring = |i: u32| {
             let phi = TAU * f64::from(i) / f64::from(count);
             Point::new(centre.x + self.d * libm::cos(phi), centre.y + self.d * libm::sin(phi))
@@ -106,7 +106,7 @@ impl<'a> BeliefDefinition<'a> {
     /// Returns the weight of the point `at`.
     fn weight(&self, at: Point) -> f64 {
         let silence_probability = |&k: &usize| {
-            let distance = self.points[k].distance(at);
+            let distance = self.positions[k].distance(at);
             let detection_probability = match self.sensing.kind {
                 _ if distance > self.sensing.d_max => 0.0,
                 DetectionKind::Range => 1.0,
@@ -126,7 +126,7 @@ impl<'a> BeliefDefinition<'a> {
                 .map(|(_, weight)| weight);
             weights.sum::<f64>()
         };
-        let (position, d_max) = (self.points[j], self.sensing.d_max);
+        let (position, d_max) = (self.positions[j], self.sensing.d_max);
         total_weight(&|at| position.distance(at) > d_max) / total_weight(&|_| true)
     }
 
@@ -134,7 +134,7 @@ impl<'a> BeliefDefinition<'a> {
     fn expected_gain(&self, places: &[(Point, f64)], j: usize, information: f64) -> f64 {
         let (mut gain, mut total_weight) = (0.0, 0.0);
         for &(at, weight) in places {
-            let distance = self.points[j].distance(at);
+            let distance = self.positions[j].distance(at);
             let report = if distance > self.sensing.d_max {
                 0.0
             } else {
@@ -176,11 +176,11 @@ fn first_reports() -> impl Iterator<Item = (u64, Sensing, u32, f64)> {
 #[test]
 fn without_silent_devices_gains_are_plain_sums_over_the_ring() {
     for (case, sensing, h, d) in first_reports() {
-        let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
+        let positions = place_devices(&Layout::JitteredGrid, AREA, 120, case);
+        let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         belief.start_event();
         belief.add_reporter(DeviceId(h), d, uniform_prior);
-        let definition = BeliefDefinition::alone(&points, &sensing, h, d);
+        let definition = BeliefDefinition::alone(&positions, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let mut remaining: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
         // Devices come in descending order of gain, until no device adds anything.
@@ -215,11 +215,11 @@ fn without_silent_devices_gains_are_plain_sums_over_the_ring() {
 fn a_miss_cost_changes_the_order_but_no_gain() {
     let (miss_cost, mut is_changed) = (0.3, false);
     for (case, sensing, h, d) in first_reports() {
-        let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing).with_miss_cost(miss_cost);
+        let positions = place_devices(&Layout::JitteredGrid, AREA, 120, case);
+        let mut belief = EpicentreBelief::new(&positions, AREA, &sensing).with_miss_cost(miss_cost);
         belief.start_event();
         belief.add_reporter(DeviceId(h), d, uniform_prior);
-        let definition = BeliefDefinition::alone(&points, &sensing, h, d);
+        let definition = BeliefDefinition::alone(&positions, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let expected_gain = |j: usize| definition.expected_gain(&places, j, information);
         let score = |j: usize| expected_gain(j) - miss_cost * definition.miss_probability(&places, j);
@@ -242,24 +242,24 @@ fn a_miss_cost_changes_the_order_but_no_gain() {
     assert!(is_changed, "no case has a different order without the cost");
 }
 
-/// The few points kept give an unbiased gain with a small error.
+/// The few points kept give an unbiased gain with a small error. Its limits hold for these seeds; no page states them.
 #[test]
 fn silence_weights_the_points_of_the_ring() {
     let (mut error_sum, mut square_sum, mut count) = (0.0, 0.0, 0.0);
     for (case, sensing, h, d) in first_reports() {
         for seed in 0..15 {
-            let points = place_devices(&Layout::JitteredGrid, AREA, 120, 100 * case + seed);
+            let positions = place_devices(&Layout::JitteredGrid, AREA, 120, 100 * case + seed);
             let is_on = |j: DeviceId| j.0.is_multiple_of(7);
             let silent = (0..120).filter(|&k| k != h as usize && is_on(DeviceId(k as u32)));
             let definition = BeliefDefinition {
-                points: &points,
+                positions: &positions,
                 sensing: &sensing,
                 reporter: h as usize,
                 d,
                 silent: silent.collect(),
                 prior: if seed % 2 == 0 { uniform_prior } else { |at| 0.1 + at.x },
             };
-            let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
+            let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
             belief.start_event();
             belief.add_reporter(DeviceId(h), d, definition.prior);
             for place in &belief.points {
@@ -269,7 +269,7 @@ fn silence_weights_the_points_of_the_ring() {
                 );
             }
             belief.observe_silence(is_on, definition.prior);
-            // A kept point stands for its neighbours, so its weight is a multiple of the weight in the definition.
+            // A kept point stands for up to 512/32 points, so its weight is a multiple of the weight in the definition.
             assert!(belief.points.len() <= 2 * MAX_POINTS_PER_GROUP);
             for place in &belief.points {
                 let multiple = place.weight / definition.weight(place.position);
@@ -312,16 +312,16 @@ fn silence_weights_the_points_of_the_ring() {
 
 #[test]
 fn coincident_devices_add_no_point_and_a_third_report_locates_the_event() {
-    let mut points = place_devices(&Layout::Uniform, AREA, 40, 9);
+    let mut positions = place_devices(&Layout::Uniform, AREA, 40, 9);
     let event = Point::new(9.0, 9.0);
-    points[0] = Point::new(7.0, 9.5);
-    points[1] = points[0];
-    points[2] = Point::new(10.0, 7.0);
-    points[3] = Point::new(10.5, 11.0);
-    let mut belief = EpicentreBelief::new(&points, AREA, &sensing_with(Fusion::Max));
+    positions[0] = Point::new(7.0, 9.5);
+    positions[1] = positions[0];
+    positions[2] = Point::new(10.0, 7.0);
+    positions[3] = Point::new(10.5, 11.0);
+    let mut belief = EpicentreBelief::new(&positions, AREA, &sensing_with(Fusion::Max));
     belief.start_event();
     for (j, point_count) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
-        belief.add_reporter(DeviceId(j), points[j as usize].distance(event), uniform_prior);
+        belief.add_reporter(DeviceId(j), positions[j as usize].distance(event), uniform_prior);
         assert_eq!(belief.points.len(), point_count, "after the report of device {j}");
     }
     assert!(belief.points[0].position.distance(event) < 1e-5);
@@ -329,13 +329,13 @@ fn coincident_devices_add_no_point_and_a_third_report_locates_the_event() {
 
 #[test]
 fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
-    let points = [Point::new(10.0, 10.0), Point::new(12.5, 10.0), Point::new(10.0, 13.0)];
+    let positions = [Point::new(10.0, 10.0), Point::new(12.5, 10.0), Point::new(10.0, 13.0)];
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
         let sensing = Sensing {
             kind,
             ..sensing_with(Fusion::Max)
         };
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
+        let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         belief.start_event();
         belief.add_reporter(DeviceId(0), 3.0, uniform_prior);
         belief.add_far_reporter(DeviceId(1));
@@ -345,7 +345,7 @@ fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
                 let selected = belief
                     .points
                     .iter()
-                    .filter(|p| (p.position.distance(points[1]) <= D_MAX) == is_in_range);
+                    .filter(|p| (p.position.distance(positions[1]) <= D_MAX) == is_in_range);
                 selected.map(|place| place.weight).sum()
             };
             [weight_of(true), weight_of(false)]
@@ -357,7 +357,7 @@ fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
         );
         // A second ring that leaves two points: one within that range, one outside.
         let event = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
-        belief.add_reporter(DeviceId(2), points[2].distance(event), uniform_prior);
+        belief.add_reporter(DeviceId(2), positions[2].distance(event), uniform_prior);
         let [in_range, beyond] = weights(&belief);
         assert!(
             belief.points.len() == 2 && in_range < 1e-9 * beyond,
@@ -374,8 +374,8 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             kind,
             ..sensing_with(Fusion::Max)
         };
-        let points = place_devices(&Layout::Uniform, AREA, 12_000, 5);
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
+        let positions = place_devices(&Layout::Uniform, AREA, 12_000, 5);
+        let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         let (reporter, d) = (DeviceId(7), 2.5);
         let is_on = |j: DeviceId| j.0.is_multiple_of(2);
         belief.start_event();
@@ -385,7 +385,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             .next_candidate(sensing.p(d), |j| !is_on(j))
             .expect("a device adds");
         // The definition, with logarithms: the product of all these small factors would underflow.
-        let centre = points[reporter.index()];
+        let centre = positions[reporter.index()];
         let places: Vec<Point> = (0..POINTS_PER_RING)
             .map(direction)
             .map(|(x, y)| Point::new(centre.x + d * x, centre.y + d * y))
@@ -394,7 +394,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let log_weight = |at: &Point| -> f64 {
             let silent = (0..12_000).map(DeviceId).filter(|&j| j != reporter && is_on(j));
             let distances_in_range = silent
-                .map(|j| points[j.index()].distance(*at))
+                .map(|j| positions[j.index()].distance(*at))
                 .filter(|&gap| gap <= D_MAX);
             let detection_probability = |gap: f64| match kind {
                 DetectionKind::Range => 1.0,
@@ -407,7 +407,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let log_weights: Vec<f64> = places.iter().map(log_weight).collect();
         let max_log_weight = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let weights: Vec<f64> = log_weights.iter().map(|log| libm::exp(log - max_log_weight)).collect();
-        let next_position = points[next.index()];
+        let next_position = positions[next.index()];
         let mean = |value: &dyn Fn(&Point) -> f64| {
             let sum: f64 = weights.iter().zip(&places).map(|(weight, at)| weight * value(at)).sum();
             sum / weights.iter().sum::<f64>()
@@ -434,13 +434,13 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             belief.start_event();
             belief.add_reporter(reporter, d, uniform_prior);
             belief.observe_silence(is_on, uniform_prior);
-            belief.add_reporter(second, points[9].distance(at), uniform_prior);
-            belief.add_reporter(DeviceId(11), points[11].distance(at), uniform_prior);
+            belief.add_reporter(second, positions[9].distance(at), uniform_prior);
+            belief.add_reporter(DeviceId(11), positions[11].distance(at), uniform_prior);
             let candidate = belief
                 .next_candidate(sensing.p(d), |j| !is_on(j))
                 .expect("a device adds");
             assert!(
-                points[candidate.0.index()].distance(at) < 0.5,
+                positions[candidate.0.index()].distance(at) < 0.5,
                 "{kind:?}: {candidate:?} is not next to the event at {at:?}"
             );
         }
@@ -449,8 +449,8 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
 
 #[test]
 fn no_device_is_returned_twice_in_an_event() {
-    let points = place_devices(&Layout::Grid, AREA, 100, 1);
-    let mut belief = EpicentreBelief::new(&points, AREA, &sensing_with(Fusion::SumSaturation));
+    let positions = place_devices(&Layout::Grid, AREA, 100, 1);
+    let mut belief = EpicentreBelief::new(&positions, AREA, &sensing_with(Fusion::SumSaturation));
     for _ in 0..2 {
         belief.start_event();
         assert!(

@@ -3,7 +3,8 @@
 //! correlated first, until Î ≥ I_min.
 //!
 //! `lab/src/preparation.rs` makes the pilot runs of the search, since they need devices; [`search`] judges them.
-//! Digests depend on the drawn order; names of facts are part of `summary.json`.
+//! Digests depend on the drawn order; names of facts are part of `summary.json`. The field `about` of `ADJUSTED` is a
+//! line of docs/scenario.md, which a test compares, and of the help.
 
 pub mod search;
 pub mod settings;
@@ -84,7 +85,7 @@ impl Policy for Adjusted {
             t_drx,
             reaches_i_min,
             searched_pairs,
-            pilot_events,
+            fewest_pilot_events,
             pilot_ttis,
             device_ttis,
         } = self.choice;
@@ -94,14 +95,14 @@ impl Policy for Adjusted {
             ("i_min", self.information_target.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
             ("searched_pairs", f64::from(searched_pairs)),
-            ("pilot_events", pilot_events as f64),
+            ("pilot_events", fewest_pilot_events as f64),
             ("pilot_ttis", pilot_ttis as f64),
             ("searched_device_ttis", device_ttis as f64),
         ]
     }
 }
 
-/// The policy `adjusted`.
+/// The policy `adjusted`. The text is part of docs/scenario.md.
 pub(crate) const ADJUSTED: PolicyEntry = PolicyEntry {
     about: "One duty cycle for all devices, found by exhaustive search in pilot runs. Wakes any \
             device, the most correlated first.",

@@ -18,12 +18,12 @@ pub struct PilotResult {
     /// t_DRX, TTIs.
     pub t_drx: u32,
     /// Information per event, `[0, Ψ]`; NaN if there was no event.
-    pub information: f64,
+    pub information_per_event: f64,
     /// Units spent per device and TTI.
-    pub energy: f64,
+    pub energy_per_device_tti: f64,
 }
 
-/// Duty cycle chosen by a search, with the cost of the search.
+/// Duty cycle chosen by a search, with the cost of the search: facts of the run's summary (`Adjusted::summary_facts`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DutyCycleChoice {
     /// t_on, TTIs.
@@ -34,34 +34,37 @@ pub struct DutyCycleChoice {
     pub reaches_i_min: bool,
     /// Number of judged pairs.
     pub searched_pairs: u32,
-    /// Number of events in the pilot run with the fewest.
-    pub pilot_events: u64,
+    /// Number of events in the pilot run with the fewest; the fact `pilot_events`.
+    pub fewest_pilot_events: u64,
     /// Length of a pilot run, TTIs.
     pub pilot_ttis: u64,
     /// Total device-TTIs of all pilot runs.
     pub device_ttis: u64,
 }
 
-/// Returns the duty cycles of the grid with the results of their finished pilot runs, in the order of the grid.
+/// Returns the duty cycles of the grid with the results of their pilot runs, in the order of the grid. The metrics in
+/// `pilots` must have the order of [`AdjustedSettings::pairs`], as the candidates of the search do.
 pub fn collect_pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
     let pairs = settings.pairs().zip(&pilots.metrics);
     let results = pairs.map(|((t_on, t_drx), metrics)| PilotResult {
         t_on,
         t_drx,
-        information: metrics.info_per_event,
-        energy: metrics.energy_per_device_tti,
+        information_per_event: metrics.info_per_event,
+        energy_per_device_tti: metrics.energy_per_device_tti,
     });
     results.collect()
 }
 
+/// Returns the search over the grid of `settings`, with a candidate for each pair.
 pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
     let candidate = |(t_on, t_drx)| {
+        // A pilot run reads only the pair; the other fields are placeholders.
         let choice = DutyCycleChoice {
             t_on,
             t_drx,
             reaches_i_min: false,
             searched_pairs: 1,
-            pilot_events: 0,
+            fewest_pilot_events: 0,
             pilot_ttis: 0,
             device_ttis: 0,
         };
@@ -84,14 +87,15 @@ pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
 
 fn choose_cycle(settings: &AdjustedSettings, known: &Knowledge, pilots: &PilotRuns) -> DutyCycleChoice {
     let threshold = i_min(&known.positions(), known.area, &known.sensing);
+    // `AdjustedSettings::from_fields` refuses a grid without a pair.
     let (best, reaches_i_min) =
-        choose(&collect_pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
+        best_result(&collect_pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
     DutyCycleChoice {
         t_on: best.t_on,
         t_drx: best.t_drx,
         reaches_i_min,
         searched_pairs: pilots.metrics.len() as u32,
-        pilot_events: pilots.fewest_events(),
+        fewest_pilot_events: pilots.fewest_events(),
         pilot_ttis: pilots.run_ttis,
         device_ttis: pilots.total_ttis.saturating_mul(known.n() as u64),
     }
@@ -110,17 +114,24 @@ fn warnings(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<String> {
 }
 
 /// Returns the best of `results` for the threshold `i_min`, and whether it reaches the threshold. Ties go to the first.
-pub fn choose(results: &[PilotResult], i_min: f64) -> Option<(PilotResult, bool)> {
+/// `None` if `results` is empty.
+pub fn best_result(results: &[PilotResult], i_min: f64) -> Option<(PilotResult, bool)> {
     // NaN, the information of a run without events, is below every threshold.
-    let reaching = results.iter().filter(|result| result.information >= i_min);
-    let cheapest_reaching = reaching.min_by(|a, b| a.energy.total_cmp(&b.energy));
+    let reaching = results.iter().filter(|result| result.information_per_event >= i_min);
+    let cheapest_reaching = reaching.min_by(|a, b| a.energy_per_device_tti.total_cmp(&b.energy_per_device_tti));
     if let Some(result) = cheapest_reaching {
         return Some((*result, true));
     }
-    let with_events = results.iter().filter(|result| !result.information.is_nan());
+    let with_events = results.iter().filter(|result| !result.information_per_event.is_nan());
     // `max_by` takes the last of equals; in reverse order that is the first pair of the grid.
-    let most_informative = with_events.rev().max_by(|a, b| a.information.total_cmp(&b.information));
-    let cheapest = || results.iter().min_by(|a, b| a.energy.total_cmp(&b.energy));
+    let most_informative = with_events
+        .rev()
+        .max_by(|a, b| a.information_per_event.total_cmp(&b.information_per_event));
+    let cheapest = || {
+        results
+            .iter()
+            .min_by(|a, b| a.energy_per_device_tti.total_cmp(&b.energy_per_device_tti))
+    };
     most_informative.or_else(cheapest).map(|result| (*result, false))
 }
 
@@ -130,11 +141,11 @@ mod tests {
 
     #[test]
     fn the_choice_is_the_cheapest_that_reaches_i_min_or_else_the_most_informative() {
-        let result = |t_on, information, energy| PilotResult {
+        let result = |t_on, information_per_event, energy_per_device_tti| PilotResult {
             t_on,
             t_drx: 9,
-            information,
-            energy,
+            information_per_event,
+            energy_per_device_tti,
         };
         let results = [
             result(1, 0.2, 0.5),
@@ -143,16 +154,16 @@ mod tests {
             result(4, 0.6, 0.4),
             result(5, f64::NAN, 0.1),
         ];
-        let choice = |i_min| choose(&results, i_min).map(|(result, reaches)| (result.t_on, reaches));
+        let choice = |i_min| best_result(&results, i_min).map(|(result, reaches)| (result.t_on, reaches));
         assert_eq!(choice(0.3), Some((2, true)));
         assert_eq!(choice(0.1), Some((2, true)));
         assert_eq!(choice(0.5), Some((3, true)));
         assert_eq!(choice(0.7), Some((3, false)));
-        assert_eq!(choose(&[], 0.1), None);
+        assert_eq!(best_result(&[], 0.1), None);
         // Without any event, the first of the pairs with the least consumption.
         let without_events =
             [(1, 0.4), (2, 0.3), (3, 0.5), (4, 0.3)].map(|(t_on, energy)| result(t_on, f64::NAN, energy));
-        let chosen = choose(&without_events, 0.1).map(|(result, reaches)| (result.t_on, reaches));
+        let chosen = best_result(&without_events, 0.1).map(|(result, reaches)| (result.t_on, reaches));
         assert_eq!(chosen, Some((2, false)));
     }
 }

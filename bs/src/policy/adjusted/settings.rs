@@ -1,6 +1,7 @@
 //! Settings of the policy `adjusted` (Sec. V-A, first approach): the grid of duty cycles to search, and the length of
 //! its pilot runs. The fields, in their order, are part of scenario files, their hashes and docs/scenario.md. The order
-//! of [`AdjustedSettings::pairs`] decides ties of the search.
+//! of [`AdjustedSettings::pairs`] decides ties of the search; `tests/src/reference/search.rs` repeats it. Texts of
+//! fields repeat `PILOT_WARM_UP` (a quarter) and the doubling of `lab/src/preparation.rs`.
 
 use reveille_common::declare;
 use reveille_common::declare::{FieldReader, ScenarioError, whole, wholes};
@@ -46,7 +47,8 @@ impl AdjustedSettings {
         Ok(settings)
     }
 
-    /// Returns the pairs (t_on, t_DRX) to search, in the order of the lists.
+    /// Returns the pairs (t_on, t_DRX) with t_on ≤ t_DRX to search: for each t_on, all t_DRX, in the order of the
+    /// lists.
     pub fn pairs(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let all_pairs = self
             .t_on

@@ -1,8 +1,9 @@
 //! Moving average of each device's ratio of expected events to the expectation by age and α. Where energy is scarce, it
-//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]). Digests depend
-//! on it. The training does not use it, so a change needs no new model. Without the baseline, a device at a hot spot
-//! would always sense, since its price is always low. That is right while its battery is full. For a device that spends
-//! all its harvest, sensing now costs sensing later, and only the ratio of current to usual expectation matters.
+//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]). Digests depend on it, and
+//! docs/dt.md states its constants. The training does not use it, so a change needs no new model. Without the baseline,
+//! a device at a hot spot would always sense, since its price is always low. That is right while its battery is full.
+//! For a device that spends all its harvest, sensing now costs sensing later, and only the ratio of current to usual
+//! expectation matters.
 
 use reveille_common::units::Energy;
 
@@ -27,8 +28,9 @@ impl ExpectationBaseline {
         }
     }
 
-    /// Returns the price factor of device `j` and updates its average. `ratio` is the ratio of expected events to the
-    /// expectation by age and α; the battery holds `level` of at most `e_max`.
+    /// Returns the price factor of device `j` and updates its average; called once per device and TTI. `ratio`, > 0, is
+    /// the ratio of expected events to the expectation by age and α; the battery holds `level` of at most `e_max`. If
+    /// every ratio has been 1, the factor is exactly 1, so that an untrained `dt` decides as `age-index`.
     pub(super) fn price_factor(&mut self, j: usize, ratio: f64, level: Energy, e_max: Energy) -> f64 {
         let average_ratio = &mut self.average_ratios[j];
         *average_ratio += (ratio - *average_ratio) / AVERAGING_TTIS;

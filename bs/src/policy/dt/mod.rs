@@ -30,7 +30,7 @@ use super::SensingCount;
 use super::factory::{PolicyEntry, PolicyFactory};
 use super::interface::Policy;
 use crate::beliefs::ages;
-use crate::beliefs::ages::price::{Prices, min_level};
+use crate::beliefs::ages::price::{Prices, min_sensing_level};
 use crate::beliefs::ages::selector::DeviceSelector;
 use crate::beliefs::candidates::{MIN_GAIN_SHARE, WakeUpCandidates};
 use crate::beliefs::posterior::EpicentreBelief;
@@ -42,12 +42,13 @@ pub struct Dt {
     token_builder: TokenBuilder,
     forward_pass: ForwardPass,
     objective: ModelObjective,
-    /// Share of new events to detect in their first TTI; 0 for no target.
+    /// Share of new events to detect in their first TTI; 0 for no target. Only under [`ModelObjective::Events`].
     target: f64,
     prices: Prices,
     selector: DeviceSelector,
     candidates: WakeUpCandidates,
-    /// By device, factor by which history changes the expected information of a wake-up.
+    /// By device, factor by which history changes the expected information of a wake-up; 1 under
+    /// [`ModelObjective::Actions`].
     wake_factors: Vec<f64>,
     /// By device, factor of its price in this TTI.
     price_factors: Vec<f64>,
@@ -59,16 +60,16 @@ impl Dt {
     /// Creates the policy for the devices in `known`.
     pub fn new(known: &Knowledge, settings: &DtSettings) -> Self {
         let positions = known.positions();
-        let token_builder = TokenBuilder::new(known, |j| min_level(&known.devices[j].energy));
-        // In cells.
-        let reach = ages::effective_area(&known.sensing) / token_builder.ages().cell_surface();
+        let token_builder = TokenBuilder::new(known, |j| min_sensing_level(&known.devices[j].energy));
+        // Worth at age 1 of the area that one device alone covers, as in `AgeIndex`: the unit of θ.
+        let worth_of_reach = ages::effective_area(&known.sensing) / token_builder.ages().cell_surface();
         // With a target the model names the price in each TTI, as a factor of this one.
-        let price = settings.fixed_price().unwrap_or(1.0);
+        let base_price = settings.fixed_price().unwrap_or(1.0);
         Self {
             forward_pass: ForwardPass::new(Arc::clone(&settings.weights), known.n()),
             objective: settings.weights.shape().objective,
             target: settings.target,
-            prices: Prices::new(known, price * reach),
+            prices: Prices::new(known, base_price * worth_of_reach),
             selector: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known)
                 .with_miss_cost(settings.miss_cost * known.sensing.psi),
@@ -80,7 +81,8 @@ impl Dt {
         }
     }
 
-    /// Returns the devices that the recorded policy (the teacher) would let sense: log-odds above 0.
+    /// Returns the devices that the recorded policy (the teacher) would let sense: log-odds above 0. Price and target
+    /// have no effect.
     fn imitate_teacher(&mut self) -> Vec<DeviceId> {
         let outputs = self
             .forward_pass
@@ -97,16 +99,16 @@ impl Dt {
     /// Returns the devices whose gain is worth their price.
     fn choose_worthwhile(&mut self, seen: &Observation<'_>) -> Vec<DeviceId> {
         let outputs = self.forward_pass.step(self.token_builder.tokens());
-        for (j, logarithms) in outputs.as_chunks::<OUTPUTS>().0.iter().enumerate() {
+        for (j, log_ratios) in outputs.as_chunks::<OUTPUTS>().0.iter().enumerate() {
             // `libm` returns the same bits on every machine, so the same model makes the same decisions.
-            let [event_ratio, information_ratio] = logarithms.map(|log| f64::from(libm::expf(log)));
+            let [event_ratio, information_ratio] = log_ratios.map(|log| f64::from(libm::expf(log)));
             let (level, e_max) = (seen.batteries[j], seen.known.devices[j].energy.e_max);
             self.price_factors[j] = self.baseline.price_factor(j, event_ratio, level, e_max);
             self.wake_factors[j] = information_ratio;
         }
         if self.target > 0.0 {
-            let price = f64::from(libm::expf(self.forward_pass.log_price(self.target as f32)));
-            self.price_factors.iter_mut().for_each(|factor| *factor *= price);
+            let target_price = f64::from(libm::expf(self.forward_pass.log_price(self.target as f32)));
+            self.price_factors.iter_mut().for_each(|factor| *factor *= target_price);
         }
         let prices = self.prices.scaled_for_levels(seen.batteries, |j| self.price_factors[j]);
         let mut chosen = self.selector.choose(self.token_builder.ages_mut(), prices);
@@ -116,6 +118,7 @@ impl Dt {
 }
 
 impl Policy for Dt {
+    // The builder, the forward pass and the baseline need a call in every TTI: the default of `next_decision`.
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
         self.token_builder.begin_tti(seen);
         let chosen = match self.objective {
@@ -165,7 +168,7 @@ impl Policy for Dt {
     }
 }
 
-/// The policy `dt`.
+/// The policy `dt`. The text is part of docs/scenario.md.
 pub(crate) const DT: PolicyEntry = PolicyEntry {
     about: "Decision transformer (Algorithm 2), trained offline. Predicts events from past detections.",
     runtime: "O(N²)",

@@ -1,6 +1,7 @@
 //! Recording of trajectories: observation, action and reward of a base station in each TTI under any policy.
 //! [`RecordingPolicy`] wraps the policy and passes each step to a [`StepSink`]. `lab/src/trajectories/` writes the
-//! steps to files, from which `reveille train dt` learns. With the default [`RecordingOptions`] a recording does not
+//! steps to files, from which `reveille train dt` learns; its `parquet.rs` repeats the fields of a step as columns, so
+//! a change of their meaning needs a new `VERSION` there. With the default [`RecordingOptions`] a recording does not
 //! change the run.
 
 use reveille_common::ids::{DeviceId, Tti};
@@ -11,7 +12,7 @@ use reveille_common::scenario::WakeUpRanking;
 
 use super::tokens::TokenBuilder;
 use crate::battery_estimator::BatteryEstimator;
-use crate::beliefs::ages::price::min_level;
+use crate::beliefs::ages::price::min_sensing_level;
 use crate::beliefs::candidates::WakeUpCandidates;
 use crate::beliefs::coverage::CoverageUnion;
 use crate::beliefs::posterior::EpicentreBelief;
@@ -50,14 +51,15 @@ pub struct TrajectoryStep {
     pub wake_reward: f32,
 }
 
-/// Consumer of the steps of a trajectory, in order of TTIs.
+/// Consumer of the steps of a trajectory, in order of TTIs. It receives a step when the next TTI begins, so never the
+/// last TTI of a run.
 pub trait StepSink: Send {
-    /// Takes the next step.
-    fn take(&mut self, step: TrajectoryStep);
+    /// Receives the next step.
+    fn accept(&mut self, step: TrajectoryStep);
 }
 
 impl<F: FnMut(TrajectoryStep) + Send> StepSink for F {
-    fn take(&mut self, step: TrajectoryStep) {
+    fn accept(&mut self, step: TrajectoryStep) {
         self(step);
     }
 }
@@ -111,7 +113,7 @@ pub struct RecordingPolicy<S> {
     battery_source: BatterySource,
     token_builder: TokenBuilder,
     coverage: CoverageUnion,
-    /// Candidates, which give the expected gain of a wake-up.
+    /// Candidates by belief, from which the expected gain of a wake-up is computed. They make no decision.
     candidates: WakeUpCandidates,
     exploration: f64,
     sink: S,
@@ -119,8 +121,17 @@ pub struct RecordingPolicy<S> {
     plan: Option<Plan>,
     next_decision_tti: Tti,
     open_step: Option<TrajectoryStep>,
-    /// Device being woken, its expected gain, and Î before.
-    woken: Option<(DeviceId, f64, f64)>,
+    /// The wake-up that waits for its answer.
+    pending_wake_up: Option<PendingWakeUp>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct PendingWakeUp {
+    device: DeviceId,
+    /// Expected gain of information, `[0, Ψ]`.
+    expected_gain: f64,
+    /// Î before the wake-up.
+    information_before: f64,
 }
 
 impl<S: StepSink> RecordingPolicy<S> {
@@ -138,7 +149,7 @@ impl<S: StepSink> RecordingPolicy<S> {
         Self {
             policy,
             battery_source,
-            token_builder: TokenBuilder::new(known, |j| min_level(&known.devices[j].energy)),
+            token_builder: TokenBuilder::new(known, |j| min_sensing_level(&known.devices[j].energy)),
             coverage: reward::coverage_union(known),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
             exploration: options.exploration,
@@ -146,7 +157,7 @@ impl<S: StepSink> RecordingPolicy<S> {
             plan: None,
             next_decision_tti: Tti::ZERO,
             open_step: None,
-            woken: None,
+            pending_wake_up: None,
         }
     }
 
@@ -159,7 +170,7 @@ impl<S: StepSink> RecordingPolicy<S> {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, j as u64)
         };
-        let can_explore = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
+        let can_explore = |j: usize| seen.batteries[j] >= min_sensing_level(&known.devices[j].energy);
         (0..known.n())
             // An exploring device does the opposite of the plan; one without energy for a report does not explore.
             .map(|j| is_on(j) ^ (self.exploration > 0.0 && can_explore(j) && draw(j) < self.exploration))
@@ -171,16 +182,16 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
         // A step is complete only now: reports and wake-ups of a TTI come after its decision.
         if let Some(step) = self.open_step.take() {
-            self.sink.take(step);
+            self.sink.accept(step);
         }
         self.token_builder.begin_tti(seen);
-        let decides = seen.now >= self.next_decision_tti;
-        if decides {
+        let is_decision_due = seen.now >= self.next_decision_tti;
+        if is_decision_due {
             self.plan = Some(self.policy.decide(&self.battery_source.for_policy(seen)));
             self.next_decision_tti = self.policy.next_decision(seen.now);
         }
         // The plan changes when the policy decides, and in every TTI while devices explore.
-        if decides || self.exploration > 0.0 {
+        if is_decision_due || self.exploration > 0.0 {
             self.battery_source
                 .update_estimator(|estimator| estimator.advance(seen.now, seen.plan));
         }
@@ -203,9 +214,9 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         } else {
             self.plan.clone().expect("decided in TTI 0")
         };
-        // The recorder chooses no devices in the ages of the builder, so none is added there.
-        let is_added = false;
-        self.token_builder.mark_sensing(seen.now, &plan, is_added);
+        // The recorder chooses no devices in the ages of the builder, so none is there yet.
+        let are_in_ages = false;
+        self.token_builder.mark_sensing(seen.now, &plan, are_in_ages);
         plan
     }
 
@@ -235,26 +246,31 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let device = self.policy.next_wake_up(&self.battery_source.for_policy(seen))?;
-        // Restricted to the device that the policy wakes, the candidates give the expected gain of this device.
+        // Restricted to the device that the policy wakes, the only candidate is this device, with its expected gain.
         let candidate = self.candidates.next_candidate(seen, |candidate| candidate == device);
-        self.woken = Some((device, candidate.map_or(0.0, |(_, gain)| gain), seen.information));
+        self.pending_wake_up = Some(PendingWakeUp {
+            device,
+            expected_gain: candidate.map_or(0.0, |(_, gain)| gain),
+            information_before: seen.information,
+        });
         Some(device)
     }
 
     fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         let psi = seen.known.sensing.psi;
-        let woken = self.woken.take();
-        if let Some((device, ..)) = woken {
+        let pending_wake_up = self.pending_wake_up.take();
+        if let Some(PendingWakeUp { device, .. }) = pending_wake_up {
             self.battery_source.update_estimator(|estimator| match report {
                 Some(report) => estimator.observe_level(device, seen.now, report.battery),
                 None => estimator.observe_unanswered_wake_up(device, seen.now, seen.plan),
             });
         }
-        if let (Some((device, gain, information_before)), Some(step)) = (woken, &mut self.open_step) {
-            let gained = (seen.information - information_before) / psi;
-            step.devices[device.index()].wake_up = Some(((gain / psi) as f32, gained as f32));
-            let [worth, cost] = reward::wake_up_reward_terms(DEFAULT_MU2, gained, 1, seen.known.n());
-            step.wake_reward += (worth + cost) as f32;
+        if let (Some(wake_up), Some(step)) = (pending_wake_up, &mut self.open_step) {
+            let expected_share = wake_up.expected_gain / psi;
+            let gained_share = (seen.information - wake_up.information_before) / psi;
+            step.devices[wake_up.device.index()].wake_up = Some((expected_share as f32, gained_share as f32));
+            let reward_terms = reward::wake_up_reward_terms(DEFAULT_MU2, gained_share, 1, seen.known.n());
+            step.wake_reward += reward_terms.iter().sum::<f64>() as f32;
         }
         if let Some(report) = report {
             self.token_builder.add_report(seen, report);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use reveille_common::declare;
 use reveille_common::declare::{
     Alternative, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, PROBABILITY, ScenarioError, Section, Visit, number,
-    source, whole,
+    whole, word_or_file,
 };
 use reveille_common::scenario::Site;
 
@@ -16,7 +16,7 @@ use super::model::weights::ModelWeights;
 use super::model::{MAX_HEADS, MAX_MEMORY, MAX_WIDTH, ModelObjective, ModelShape};
 use crate::beliefs::ages;
 
-/// Named sources of models, other than files.
+/// Named sources of models, other than files. `from_fields` and `visit` repeat the names.
 const MODELS: &[Alternative] = &[
     Alternative {
         name: "shipped",
@@ -35,7 +35,7 @@ declare! {
     #[derive(Clone, Debug)]
     struct Fields in "policy.dt" {
         /// Source of the model; a file must be written by `reveille train dt`.
-        model: Option<String> = source(MODELS, "shipped").source("Sec. V-C"),
+        model: Option<String> = word_or_file(MODELS, "shipped").source("Sec. V-C"),
         /// Price θ of a TTI in S1, in reaches, as under `age-index`: the energy target. With 0, every place in reach is
         /// covered in every TTI. It has no effect if a target return is set.
         price: f64 = number(NOT_NEGATIVE, 0.35),
@@ -69,11 +69,11 @@ pub enum ModelSource {
     File(PathBuf),
 }
 
-/// Settings of the `dt` policy.
+/// Settings of the `dt` policy, with the model that they name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DtSettings {
     /// Source of the model.
-    pub source: ModelSource,
+    pub model_source: ModelSource,
     /// The model.
     pub weights: Arc<ModelWeights>,
     /// Price θ of a TTI in S1, ≥ 0, used without a target.
@@ -124,6 +124,11 @@ impl RequestedShape {
     }
 }
 
+/// Returns `price`, or `None` if `target` asks the model for the price.
+fn price_without_target(price: f64, target: f64) -> Option<f64> {
+    (target <= 0.0).then_some(price)
+}
+
 fn shipped_model() -> ModelWeights {
     ModelWeights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
 }
@@ -131,7 +136,7 @@ fn shipped_model() -> ModelWeights {
 impl DtSettings {
     /// Returns the price θ, or `None` if a target is set.
     pub fn fixed_price(&self) -> Option<f64> {
-        (self.target <= 0.0).then_some(self.price)
+        price_without_target(self.price, self.target)
     }
 
     /// The declared fields of the section.
@@ -143,14 +148,13 @@ impl DtSettings {
     /// A value is out of range, the model cannot be used, or the area has too many cells.
     pub fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
         let fields = Fields::read(reader)?;
-        let price = (fields.target <= 0.0).then_some(fields.price);
-        ages::check_price("dt", price, reader, site)?;
+        ages::check_price("dt", price_without_target(fields.price, fields.target), reader, site)?;
         let requested_shape = RequestedShape {
             memory: fields.memory,
             width: fields.width,
             heads: fields.heads,
         };
-        let (source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
+        let (model_source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
             "shipped" => (ModelSource::Shipped, shipped_model()),
             "untrained" => {
                 let shape = requested_shape.with_defaults(ModelShape::SHIPPED);
@@ -162,7 +166,7 @@ impl DtSettings {
             }
             file => {
                 let field = "policy.dt.model";
-                let path = reader.file(field, file)?;
+                let path = reader.absolute_path(field, file)?;
                 let refuse = |why: String| reader.file_error(field, path.clone(), why);
                 let bytes = reader
                     .files()
@@ -179,7 +183,8 @@ impl DtSettings {
             );
             return Err(reader.invalid_value(&format!("policy.dt.{name}"), requested, allowed));
         }
-        let has_learned_price = source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
+        let has_learned_price =
+            model_source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
         if fields.target > 0.0 && !has_learned_price {
             reader.warn(format!(
                 "policy.dt.target is {}, and the model has not learned its price: {}",
@@ -191,7 +196,7 @@ impl DtSettings {
             ));
         }
         Ok(Self {
-            source,
+            model_source,
             weights: Arc::new(weights),
             price: fields.price,
             target: fields.target,
@@ -203,7 +208,7 @@ impl DtSettings {
 
 impl Visit for DtSettings {
     fn visit(&self, sink: &mut dyn FieldSink) {
-        let model = match &self.source {
+        let model = match &self.model_source {
             ModelSource::Shipped => "shipped".into(),
             ModelSource::Untrained => "untrained".into(),
             ModelSource::File(path) => path.to_string_lossy(),
@@ -214,6 +219,7 @@ impl Visit for DtSettings {
             sink.content(&self.weights.hash);
         }
         let fields = Fields {
+            // Visited above, with the content of the model.
             model: None,
             price: self.price,
             target: self.target,

@@ -4,8 +4,9 @@
 //! It also holds the ratio of reported to expected events, near the device and anywhere, over short and long times. No
 //! feature grows with N or the area, so a model trained on one deployment serves another.
 //!
-//! `dt` decides on them, and [`super::record`] records them for the training. The meaning, scale and order of
-//! [`FEATURES`] are part of the weights file ([`super::model::weights::FORMAT_VERSION`]); docs/dt.md describes them.
+//! `dt` decides on them, and [`super::record`] records them for the training. The names, meaning, scale and order of
+//! [`FEATURES`] are part of the weights file ([`super::model::weights::FORMAT_VERSION`]) and columns of trajectory
+//! files (`VERSION` in `lab/src/trajectories/parquet.rs`); docs/dt.md describes them.
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
@@ -18,8 +19,9 @@ use crate::beliefs::ages::{self, Ages};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// Names of the features of a token, in order. In these names `found` means reported, and `delay` is the time between
-/// two reported events.
+/// Names of the features of a token, in order; `TokenBuilder::begin_tti` computes them in this order. In these names
+/// `found` means reported in the last TTI, `idle` and `since_found` are times since sensing and since a report, and
+/// `delay` is the time between two reported events.
 pub const FEATURES: [&str; 20] = [
     "battery",
     "can_sense",
@@ -80,7 +82,7 @@ struct DeviceConstants {
     /// Gain if every place had age 1, in the unit of [`Ages::gain`].
     unit_gain: f64,
     /// Events that start within its reach, per TTI.
-    expected: f32,
+    expected_per_tti: f32,
     /// `unit_gain` relative to a whole sensing disc.
     reach: f32,
     /// Mean harvest relative to E_idle, at most 4.
@@ -99,7 +101,8 @@ struct ReportedEvent {
 }
 
 /// State of the base station from which tokens are built. Calls in each TTI: `begin_tti`, then `mark_sensing`, then
-/// `add_report` for each report. The observations must hold batteries.
+/// `add_report` for each report. The observations must hold batteries. `tokens`, `can_sense` and `expected_events`
+/// refer to the TTI of the last `begin_tti`.
 #[derive(Clone, Debug)]
 pub(crate) struct TokenBuilder {
     ages: Ages,
@@ -153,7 +156,7 @@ impl TokenBuilder {
             let units = |energy: Energy| energy.units();
             DeviceConstants {
                 unit_gain,
-                expected: (events_per_cell * unit_gain) as f32,
+                expected_per_tti: (events_per_cell * unit_gain) as f32,
                 reach: (unit_gain / disc_gain) as f32,
                 // E_idle may be 0.
                 harvest: (units(device.mean_harvest) / units(device.energy.e_idle).max(1e-6)).min(4.0) as f32,
@@ -188,51 +191,52 @@ impl TokenBuilder {
         if seen.now > Tti::ZERO {
             self.advance(Tti(seen.now.0 - 1));
         }
-        let last = self.last_event;
-        let is_reported = last.is_some_and(|event| event.tti.0 + 1 == seen.now.0);
+        let last_event = self.last_event;
+        let is_reported = last_event.is_some_and(|event| event.tti.0 + 1 == seen.now.0);
         // Before the first event the time is as long as `log_scale` allows.
-        let since = last.map_or(u64::MAX, |event| seen.now.0 - event.tti.0);
-        let shared = GlobalFeatures {
+        let ttis_since_event = last_event.map_or(u64::MAX, |event| seen.now.0 - event.tti.0);
+        let global_features = GlobalFeatures {
             log_density: self.log_density,
             log_alpha: self.log_alpha,
-            all: [0, 1, 2].map(|scale| self.all_counts.surprise(scale)),
+            all_surprises: [0, 1, 2].map(|scale| self.all_counts.surprise(scale)),
             is_reported: f32::from(u8::from(is_reported)),
-            since: log_scale(since),
+            since_event: log_scale(ttis_since_event),
             event_interval: self.event_interval,
         };
         let (tokens, _) = self.tokens.as_chunks_mut::<FEATURE_COUNT>();
         for (j, token) in tokens.iter_mut().enumerate() {
             self.gains[j] = self.ages.gain(j);
             let (constants, near_counts) = (&self.constants[j], &self.near_counts[j]);
-            let idle = match self.last_sensed[j] {
+            let idle_ttis = match self.last_sensed[j] {
                 0 => seen.now.0 + 1,
                 last_sensed => seen.now.0 + 1 - last_sensed,
             };
-            let nearness = last.map_or(0.0, |event| {
+            let nearness = last_event.map_or(0.0, |event| {
                 libm::expf(-(event.position.distance(self.positions[j]) / self.d_max) as f32)
             });
             let level = seen.batteries[j];
+            // In the order of `FEATURES`.
             *token = [
                 level.units() as f32 / constants.e_max,
                 f32::from(u8::from(level >= constants.min_level)),
                 libm::logf(mean_age(self.gains[j], constants.unit_gain)),
-                log_scale(idle),
+                log_scale(idle_ttis),
                 constants.reach,
-                shared.log_density,
-                shared.log_alpha,
+                global_features.log_density,
+                global_features.log_alpha,
                 constants.harvest,
                 near_counts.surprise(0),
                 near_counts.surprise(1),
                 near_counts.surprise(2),
-                shared.all[0],
-                shared.all[1],
-                shared.all[2],
-                shared.is_reported,
+                global_features.all_surprises[0],
+                global_features.all_surprises[1],
+                global_features.all_surprises[2],
+                global_features.is_reported,
                 f32::from(u8::from(self.is_near[j])),
-                shared.since,
+                global_features.since_event,
                 nearness,
                 constants.neighbours,
-                shared.event_interval,
+                global_features.event_interval,
             ];
         }
     }
@@ -251,7 +255,7 @@ impl TokenBuilder {
         }
         let devices = self.near_counts.iter_mut().zip(&self.constants).zip(&self.is_near);
         for ((near_counts, constants), &is_near) in devices {
-            near_counts.advance(f32::from(u8::from(is_near)), constants.expected);
+            near_counts.advance(f32::from(u8::from(is_near)), constants.expected_per_tti);
         }
         self.all_counts
             .advance(f32::from(u8::from(epicentre.is_some())), self.event_probability);
@@ -268,12 +272,12 @@ impl TokenBuilder {
             .push((position, 1.0 / (0.01 * self.d_max + distance).powi(2)));
     }
 
-    /// Marks the devices that sense in `tti` under `plan`. With `is_added` they are already in [`Self::ages_mut`].
-    pub(crate) fn mark_sensing(&mut self, tti: Tti, plan: &Plan, is_added: bool) {
+    /// Marks the devices that sense in `tti` under `plan`. With `are_in_ages` they are already in [`Self::ages_mut`].
+    pub(crate) fn mark_sensing(&mut self, tti: Tti, plan: &Plan, are_in_ages: bool) {
         for j in 0..self.last_sensed.len() {
             if plan.duty_cycle(DeviceId(j as u32)).is_on(tti) {
                 self.last_sensed[j] = tti.0 + 1;
-                if !is_added {
+                if !are_in_ages {
                     self.ages.add(j);
                 }
             }
@@ -285,15 +289,16 @@ impl TokenBuilder {
         &self.tokens
     }
 
+    /// Returns the feature `can_sense` of device `j`.
     pub(crate) fn can_sense(&self, j: usize) -> bool {
         self.tokens[j * FEATURE_COUNT + CAN_SENSE] > 0.5
     }
 
-    /// Returns the events that device `j` would detect if it sensed, given only α: those that start within its reach,
-    /// times the age of its places.
+    /// Returns the events that device `j` would detect if it sensed, given only α: the events that start within its
+    /// reach per TTI, times the age of its places.
     pub(crate) fn expected_events(&self, j: usize) -> f32 {
         let constants = &self.constants[j];
-        constants.expected * mean_age(self.gains[j], constants.unit_gain)
+        constants.expected_per_tti * mean_age(self.gains[j], constants.unit_gain)
     }
 
     pub(crate) const fn ages(&self) -> &Ages {
@@ -310,10 +315,12 @@ impl TokenBuilder {
 struct GlobalFeatures {
     log_density: f32,
     log_alpha: f32,
-    all: [f32; TIME_CONSTANTS.len()],
+    /// [`DecayingEventCounts::surprise`] of the events anywhere.
+    all_surprises: [f32; TIME_CONSTANTS.len()],
     /// 1 if an event was reported in the last TTI, 0 otherwise.
     is_reported: f32,
-    since: f32,
+    /// Time since the last reported event, on the scale of [`log_scale`].
+    since_event: f32,
     event_interval: f32,
 }
 
@@ -338,6 +345,7 @@ fn log_scale(ttis: u64) -> f32 {
     libm::logf(ttis.clamp(1, 4096) as f32) / 6.0
 }
 
+/// Returns the mean of the positions by weight; `None` without a reporter.
 fn weighted_centre(reporters: &[(Point, f64)]) -> Option<Point> {
     let weight: f64 = reporters.iter().map(|(_, weight)| weight).sum();
     let sum = |coordinate: fn(&Point) -> f64| {

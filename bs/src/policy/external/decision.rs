@@ -9,12 +9,12 @@ use reveille_common::plan::Plan;
 use super::history::ReportHistory;
 use crate::observation::Observation;
 
-/// Stage of a decision.
+/// Stage of a decision. Environments and the texts of features call the stages 0 and 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DecisionStage {
-    /// The δ plan from the coming TTI on.
+    /// Stage 0: the δ plan from the coming TTI on.
     Plan,
-    /// The devices to wake in a TTI with reports.
+    /// Stage 1: the devices to wake in a TTI with reports.
     Wake,
 }
 
@@ -29,7 +29,7 @@ pub struct DecisionContext<'a> {
     /// Reports of the last TTI with reports: the first ones by device id, then the answers to wake-ups in their order.
     /// At [`DecisionStage::Wake`] that is this TTI.
     pub reports: &'a [Report],
-    /// By device, whether it was woken in the TTI of [`Self::reports`], with or without an answer.
+    /// By device, whether it was woken in the TTI of [`Self::reports`], with or without an answer. Its length is N.
     pub woken: &'a [bool],
     /// History of the run before this decision.
     pub history: &'a ReportHistory,
@@ -51,6 +51,7 @@ impl DecisionContext<'_> {
     }
 }
 
+/// Returns whether `device` exists, sleeps in the TTI of `seen` and is not among the `woken`.
 pub(super) fn may_wake(seen: &Observation<'_>, woken: &[bool], device: DeviceId) -> bool {
     woken.get(device.index()).is_some_and(|woken| !woken) && seen.is_asleep(device)
 }
@@ -61,7 +62,7 @@ pub struct PlanDecision {
     /// The plan. It is fitted to the N devices: entries beyond the last device are dropped. Devices without an entry,
     /// or with a duty cycle out of range, sleep.
     pub plan: Plan,
-    /// TTI of the next plan request; a TTI that has passed stands for the next one.
+    /// TTI of the next plan request. A TTI that has passed stands for the next one; on the bus such a reply is refused.
     pub next: Tti,
 }
 
@@ -84,7 +85,7 @@ impl Decision {
     }
 }
 
-/// A decision of a policy process, as recorded in a run.
+/// A decision of a policy process, as recorded in the input log of a run: not yet projected on the allowed actions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordedDecision {
     /// TTI of the decision request.

@@ -23,7 +23,9 @@ const fn feature(name: &'static str, about: &'static str) -> Feature {
     Feature { name, about }
 }
 
-/// Features of each device, in this order; all in `[0, 1]`.
+/// Features of each device, in this order; all in `[0, 1]`. Stage 0 is [`DecisionStage::Plan`], stage 1
+/// [`DecisionStage::Wake`]. The `about` texts are part of the hello message and of the Python package;
+/// [`DecisionContext::write_devices`] computes the values in this order.
 pub const DEVICE_FEATURES: [Feature; 15] = [
     feature("x", "position along the area's width, as a share of the width"),
     feature("y", "position along the area's height, as a share of the height"),
@@ -66,7 +68,8 @@ pub const DEVICE_FEATURES: [Feature; 15] = [
     feature("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
 ];
 
-/// Features of the global row, in this order; all in `[0, 1]`.
+/// Features of the global row, in this order; all in `[0, 1]`. [`DecisionContext::write_globals`] computes the values
+/// in this order.
 pub const GLOBAL_FEATURES: [Feature; 10] = [
     feature(
         "information",
@@ -102,8 +105,9 @@ fn bounded_time(ttis: Option<u64>, half_ttis: f64) -> f64 {
     ttis.map_or(1.0, |t| t as f64 / (t as f64 + half_ttis))
 }
 
-fn bounded_staleness(worth: f64) -> f64 {
-    1.0 - 1.0 / worth.max(1.0).sqrt()
+/// Returns the feature of a [`ReportHistory::staleness`](super::history::ReportHistory::staleness), ≥ 1.
+fn bounded_staleness(staleness: f64) -> f64 {
+    1.0 - 1.0 / staleness.max(1.0).sqrt()
 }
 
 fn flag(is_set: bool) -> f32 {
@@ -122,8 +126,9 @@ impl DecisionContext<'_> {
         }
     }
 
+    /// Returns the known B / E_max of `device`.
     #[inline]
-    fn battery(&self, device: usize) -> f64 {
+    fn battery_share(&self, device: usize) -> f64 {
         (self.observation.batteries[device].units() / self.history.static_features(device).e_max).min(1.0)
     }
 
@@ -158,7 +163,7 @@ impl DecisionContext<'_> {
             let values: [f32; DEVICE_FEATURES.len()] = [
                 constants.relative_position[0],
                 constants.relative_position[1],
-                self.battery(j) as f32,
+                self.battery_share(j) as f32,
                 flag(observation.can_report(device)),
                 flag(self.is_sensing(device)),
                 flag(self.may_wake(device)),
@@ -186,7 +191,7 @@ impl DecisionContext<'_> {
         let (n, psi) = (known.n() as f64, known.sensing.psi);
         let devices = || (0..known.n() as u32).map(DeviceId);
         let share = |count: usize| count as f64 / n;
-        let (reports, woken) = match self.stage {
+        let (report_count, woken_count) = match self.stage {
             DecisionStage::Plan => (0.0, 0),
             DecisionStage::Wake => (
                 self.reports.len() as f64,
@@ -199,9 +204,9 @@ impl DecisionContext<'_> {
             known.alpha,
             (libm::log(n) / 10.0).min(1.0),
             share(devices().filter(|j| self.is_sensing(*j)).count()),
-            reports / (reports + 1.0),
-            share(woken),
-            (0..known.n()).map(|j| self.battery(j)).sum::<f64>() / n,
+            report_count / (report_count + 1.0),
+            share(woken_count),
+            (0..known.n()).map(|j| self.battery_share(j)).sum::<f64>() / n,
             bounded_time(history.since_any_report(observation.now), HALF_TTIS),
             bounded_staleness(history.area_staleness()),
         ];
@@ -210,19 +215,20 @@ impl DecisionContext<'_> {
         }
     }
 
-    /// Writes into `mask`, by device id, 2 if the decision may name the device, or 0 if that would have no effect. See
+    /// Writes into `mask`, by device id, 2 if the decision may name the device, or 0 if that would have no effect: the
+    /// codes of a Gymnasium mask, on which the Python package relies. See
     /// [`DecisionRequest::action_mask`](super::wire::DecisionRequest::action_mask).
     ///
     /// # Panics
     /// If the length of `mask` is not N.
     pub fn write_mask(&self, mask: &mut [i8]) {
         assert_eq!(mask.len(), self.device_count(), "a place for each device");
-        for (j, allowed) in (0..).zip(mask) {
-            let is_free = match self.stage {
+        for (j, entry) in (0..).zip(mask) {
+            let may_name = match self.stage {
                 DecisionStage::Plan => true,
                 DecisionStage::Wake => self.may_wake(DeviceId(j)),
             };
-            *allowed = if is_free { 2 } else { 0 };
+            *entry = if may_name { 2 } else { 0 };
         }
     }
 }

@@ -1,5 +1,6 @@
 //! History of the run for decision requests ([`super::features`]): when each device sensed and reported, and how long
-//! each place has been uncovered. Trained models rely on the values.
+//! each place has been uncovered. Trained models rely on the values. [`super::External`] calls `advance`, then in a TTI
+//! with reports `start_event` and `add_report`.
 
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
@@ -15,7 +16,7 @@ use crate::knowledge::{DeviceKnowledge, Knowledge};
 /// History of the reports and of the sensing devices.
 #[derive(Clone, Debug)]
 pub struct ReportHistory {
-    staleness: Staleness,
+    place_ages: Staleness,
     /// First TTI that has not ended.
     open_tti: Tti,
     /// Whether a report arrived in [`Self::open_tti`].
@@ -28,11 +29,11 @@ pub struct ReportHistory {
     static_features: Vec<StaticFeatures>,
     positions: Vec<Point>,
     sensing: Sensing,
-    latest_report_tti: LatestReportTti,
+    latest_reports: LatestReports,
     i_min: f64,
 }
 
-/// Constant features of a device, stored compactly.
+/// Constant features of a device, stored compactly; `features.rs` describes and copies them.
 #[derive(Clone, Copy, Debug)]
 pub struct StaticFeatures {
     /// Position as shares of the width and height of the area, `[0, 1]`.
@@ -47,15 +48,15 @@ pub struct StaticFeatures {
     pub is_steady: bool,
 }
 
-/// The latest TTI with any reports: its reports and the distances from them, by device.
+/// The reports of the latest TTI with any, and the distances from their devices, by device.
 #[derive(Clone, Debug)]
-struct LatestReportTti {
+struct LatestReports {
     /// I_ij of its report, 0 without a report.
     information: Vec<f64>,
     /// Distance to the nearest reporter, m; infinite without a reporter.
     distance: Vec<f64>,
     /// Detection probability p(d) at that distance.
-    p: Vec<f64>,
+    nearness: Vec<f64>,
 }
 
 impl ReportHistory {
@@ -79,16 +80,16 @@ impl ReportHistory {
             }
         };
         Self {
-            staleness: Staleness::with_loss(loss_probability, &positions, known.area, &known.sensing),
+            place_ages: Staleness::with_loss(loss_probability, &positions, known.area, &known.sensing),
             open_tti: Tti::ZERO,
             is_event_reported: false,
             last_sensed: vec![0; known.n()],
             last_reported: vec![0; known.n()],
             static_features: known.devices.iter().enumerate().map(static_features).collect(),
-            latest_report_tti: LatestReportTti {
+            latest_reports: LatestReports {
                 information: vec![0.0; known.n()],
                 distance: vec![f64::INFINITY; known.n()],
-                p: vec![0.0; known.n()],
+                nearness: vec![0.0; known.n()],
             },
             i_min: i_min(&positions, known.area, &known.sensing),
             positions,
@@ -96,26 +97,26 @@ impl ReportHistory {
         }
     }
 
-    /// Ends the open TTIs before `end`, which passed under `plan`.
+    /// Ends the open TTIs before `end`, which passed under `plan`. Call it before the plan changes.
     pub fn advance(&mut self, end: Tti, plan: &Plan) {
         while self.open_tti < end {
             for (j, last_sensed) in self.last_sensed.iter_mut().enumerate() {
                 if plan.is_on(DeviceId(j as u32), self.open_tti) {
-                    self.staleness.add(j);
+                    self.place_ages.add(j);
                     *last_sensed = self.open_tti.0 + 1;
                 }
             }
             // The reports belong to the first of these TTIs, so only that one has a reported event.
-            self.staleness.advance(std::mem::take(&mut self.is_event_reported));
+            self.place_ages.advance(std::mem::take(&mut self.is_event_reported));
             self.open_tti = self.open_tti + 1;
         }
     }
 
     /// Replaces the reports by the first ones of the open TTI, at least one. Call [`Self::advance`] to this TTI first.
     pub(crate) fn start_event(&mut self, reports: &[Report]) {
-        self.latest_report_tti.information.fill(0.0);
-        self.latest_report_tti.distance.fill(f64::INFINITY);
-        self.latest_report_tti.p.fill(0.0);
+        self.latest_reports.information.fill(0.0);
+        self.latest_reports.distance.fill(f64::INFINITY);
+        self.latest_reports.nearness.fill(0.0);
         for report in reports {
             self.add_report(report);
         }
@@ -126,34 +127,34 @@ impl ReportHistory {
         let Self {
             positions,
             sensing,
-            latest_report_tti,
+            latest_reports,
             ..
         } = self;
         self.is_event_reported = true;
         self.last_reported[report.device.index()] = report.tti.0 + 1;
-        latest_report_tti.information[report.device.index()] = report.information;
+        latest_reports.information[report.device.index()] = report.information;
         let reporter = positions[report.device.index()];
         // Updated per report: computing distances for each request took half of an environment's step at N = 250.
         let devices = positions
             .iter()
-            .zip(&mut latest_report_tti.distance)
-            .zip(&mut latest_report_tti.p);
-        for ((position, nearest_distance), p) in devices {
+            .zip(&mut latest_reports.distance)
+            .zip(&mut latest_reports.nearness);
+        for ((position, nearest_distance), nearness) in devices {
             let distance = position.distance(reporter);
             if distance < *nearest_distance {
-                (*nearest_distance, *p) = (distance, sensing.p(distance));
+                (*nearest_distance, *nearness) = (distance, sensing.p(distance));
             }
         }
     }
 
     /// Returns I of the report of `device` in the last TTI with reports, `[0, Ψ]`; 0 without a report.
     pub fn information(&self, device: usize) -> f64 {
-        self.latest_report_tti.information[device]
+        self.latest_reports.information[device]
     }
 
     /// Returns p(d) of the distance from `device` to the nearest reporter of that TTI, `[0, 1]`.
     pub(crate) fn nearness(&self, device: usize) -> f64 {
-        self.latest_report_tti.p[device]
+        self.latest_reports.nearness[device]
     }
 
     /// Returns the TTIs since `device` last sensed by the plan in an ended TTI, or `None`.
@@ -175,12 +176,12 @@ impl ReportHistory {
     /// It is the mean of a(a + 1)/2 over the ages a of the places ([`ages`](crate::beliefs::ages)).
     #[inline]
     pub(crate) fn staleness(&self, device: usize) -> f64 {
-        self.staleness.staleness(device)
+        self.place_ages.device_staleness(device)
     }
 
     /// Returns the same ratio for the whole area.
     pub(crate) fn area_staleness(&self) -> f64 {
-        self.staleness.area_staleness()
+        self.place_ages.area_staleness()
     }
 
     /// Returns the constant features of `device`.

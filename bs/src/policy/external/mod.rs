@@ -10,7 +10,8 @@
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
-//! A plan request is sent only from [`PlanDecision::next`] on, and a wake request only while a device can be woken.
+//! A plan request is sent only from [`PlanDecision::next`] on. A wake request is sent only while a device can be woken;
+//! otherwise the TTI has no further wake-ups.
 //!
 //! On the bus, `bs/src/server/policy_port/` sends the requests ([`wire`] holds the messages). In memory, the code that
 //! steps the run asks directly. A run with recorded decisions needs no requests.
@@ -38,7 +39,7 @@ use super::interface::Policy;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// Decision state of the `external` policy.
+/// Decision state of the `external` policy. `BaseStation::fork` clones it, so it holds no link to a policy process.
 #[derive(Clone, Debug)]
 pub struct External {
     /// Plan decision for the coming TTI, fitted to the devices.
@@ -123,7 +124,7 @@ impl External {
 
 impl Policy for External {
     /// # Panics
-    /// If there is no plan for this TTI.
+    /// If there is no plan for this TTI: the driver must call `set_plan` whenever `needs_plan` holds.
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
         let PlanDecision { plan, next } = self.pending_plan.take().expect("a driver supplies the requested plan");
         // The decision can name a TTI that has passed, but the base station requires a later one.

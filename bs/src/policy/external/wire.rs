@@ -34,7 +34,8 @@ use crate::knowledge::Knowledge;
 
 /// Protocol version of this program. Raise it for a new field of a decision reply, which an older base station refuses;
 /// for a field that is renamed or changes its meaning; and for a new or moved feature column, since trained models rely
-/// on the columns. A new field of a request needs no new version.
+/// on the columns. A new field of a request needs no new version. `PROTOCOL` and `OLDEST` in
+/// `python/reveille/policy_client.py`, and docs/policy-port.md, repeat both numbers.
 pub(crate) const PROTOCOL_VERSION: u32 = 1;
 /// Oldest protocol version that this program supports.
 pub(crate) const OLDEST_PROTOCOL: u32 = 1;
@@ -67,9 +68,9 @@ impl From<DecisionStage> for RequestKind {
 pub struct WireHeader {
     /// Newest protocol version of the sender; in a reply, the version of the reply.
     pub protocol: u32,
-    /// Number of the decision in the run, from 0; a reply echoes it.
+    /// Number of the decision in the run, from 0; 0 in a hello and a bye. A reply echoes it.
     pub seq: u64,
-    /// TTI of the decision; a reply echoes it.
+    /// TTI of the decision; 0 in a hello and a bye. A reply echoes it.
     pub tti: u64,
     /// Kind of request; a reply echoes it.
     pub stage: RequestKind,
@@ -266,9 +267,9 @@ impl DecisionRequest {
     /// Encodes `context` as decision request `seq` to process `to`.
     pub fn new(context: &DecisionContext<'_>, seq: u64, to: &str) -> Self {
         let n = context.device_count();
-        let mut device = vec![0.0; n * DEVICE_FEATURES.len()];
+        let mut device_rows = vec![0.0; n * DEVICE_FEATURES.len()];
         let (mut globals, mut mask) = (vec![0.0; GLOBAL_FEATURES.len()], vec![0; n]);
-        context.write_devices(&mut device);
+        context.write_devices(&mut device_rows);
         context.write_globals(&mut globals);
         context.write_mask(&mut mask);
         // At `DecisionStage::Plan` the context still holds the reports of an earlier TTI.
@@ -286,7 +287,7 @@ impl DecisionRequest {
             to: to.to_owned(),
             device: FloatRows {
                 width: DEVICE_FEATURES.len(),
-                values: device,
+                values: device_rows,
             },
             globals: FloatRows {
                 width: GLOBAL_FEATURES.len(),
@@ -405,13 +406,13 @@ impl DecisionReply {
                 "it is in protocol {version}, this base station speaks {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}"
             ));
         }
-        let present = [
+        let decision_fields = [
             ("action", self.action.is_some()),
             ("sense", self.sense.is_some()),
             ("cycles", self.cycles.is_some()),
             ("wake", self.wake.is_some()),
         ];
-        let present: Vec<&str> = present
+        let present: Vec<&str> = decision_fields
             .iter()
             .filter(|(_, is_present)| *is_present)
             .map(|(name, _)| *name)
@@ -438,7 +439,7 @@ impl DecisionReply {
             }
             DecisionStage::Wake if self.next.is_some() => Err("next is valid only with a plan".to_owned()),
             DecisionStage::Wake => match (&self.wake, &self.action) {
-                (Some(wake), _) => Ok(Decision::Wake(check_ids(wake, devices)?)),
+                (Some(wake), _) => Ok(Decision::Wake(to_device_ids(wake, devices)?)),
                 (None, action) => Ok(Decision::Wake(ids_with_one(action.as_ref(), devices)?)),
             },
         }
@@ -461,22 +462,22 @@ impl DecisionReply {
             return Ok(Plan::Periodic(cycles.collect::<Result<_, _>>()?));
         }
         let sensing = match &self.sense {
-            Some(sense) => check_ids(sense, devices)?,
+            Some(sense) => to_device_ids(sense, devices)?,
             None => ids_with_one(self.action.as_ref(), devices)?,
         };
         Ok(Plan::from_devices(devices as usize, &sensing))
     }
 }
 
-/// Converts the ids. Returns an error unless all are below `devices`.
-fn check_ids(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
+/// Converts the ids. Returns an error unless all are below `devices`, ≥ 1.
+fn to_device_ids(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
     match ids.iter().find(|id| **id >= devices) {
         Some(id) => Err(format!("there is no device {id}; the ids are 0 to {}", devices - 1)),
         None => Ok(ids.iter().copied().map(DeviceId).collect()),
     }
 }
 
-/// Returns the devices with a 1 in `action`.
+/// Returns the devices with a 1 in `action`, in the order of ids. Without `action` the number of entries is wrong.
 fn ids_with_one(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String> {
     let bits = action.map_or(&[][..], |action| &action.0);
     if bits.len() != devices as usize {

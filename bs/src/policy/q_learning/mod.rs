@@ -30,7 +30,8 @@
 //! r*(k) = μ2 I_i − δ*·1/N, except for μ2 Î_0, the information that came without a wake-up.
 //!
 //! Tables hold N times these shares, without the term −α μ1, or −α μ1 Ā with ages, which is the same for every action.
-//! Other shares need new tables.
+//! Other shares need new tables. Digests depend on the draws of exploration and on the tables; names of facts are part
+//! of `summary.json`.
 
 mod area_state;
 pub mod duty;
@@ -45,6 +46,7 @@ use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
 use reveille_common::scenario::WakeUpRanking;
+use reveille_common::units::Energy;
 
 use self::duty::{DutyLearner, DutyParameters};
 use self::learned::{Lookback, TableSet};
@@ -65,11 +67,12 @@ pub struct QLearning {
     duty: DutyLearner,
     wake: WakeLearner,
     candidates: WakeUpCandidates,
-    /// E_Tx plus the cost of a TTI asleep, by device.
-    min_levels: Vec<reveille_common::units::Energy>,
+    /// By device, the level from which it can answer a wake-up: E_Tx plus the cost of a TTI asleep.
+    min_wake_levels: Vec<Energy>,
     /// Reports of the current event so far.
     report_count: usize,
-    is_exploring: bool,
+    /// Whether all candidates of the current event are woken, to learn.
+    explores_event: bool,
     sensing_count: SensingCount,
     /// Sum of r(k) and the number of TTIs in it, while the policy learns.
     reward_total: (f64, u64),
@@ -90,7 +93,7 @@ impl QLearning {
             WakeUpRanking::P42 => tables.wake_p42.clone(),
             WakeUpRanking::Posterior => tables.wake_posterior.clone(),
         };
-        let min_levels = known.devices.iter().map(|d| d.energy.e_tx + d.energy.e_wur);
+        let min_wake_levels = known.devices.iter().map(|d| d.energy.e_tx + d.energy.e_wur);
         Self {
             ranking: known.bs.ranking,
             duty: DutyLearner::new(
@@ -109,9 +112,9 @@ impl QLearning {
                 known.sensing.psi,
             ),
             candidates: WakeUpCandidates::new(known),
-            min_levels: min_levels.collect(),
+            min_wake_levels: min_wake_levels.collect(),
             report_count: 0,
-            is_exploring: false,
+            explores_event: false,
             sensing_count: SensingCount::default(),
             reward_total: (0.0, 0),
             settings: settings.clone(),
@@ -120,8 +123,8 @@ impl QLearning {
 
     /// Returns the next candidate that can pay for a report, with its state.
     fn next_candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
-        let min_levels = &self.min_levels;
-        let can_report = |device: DeviceId| seen.batteries[device.index()] >= min_levels[device.index()];
+        let min_wake_levels = &self.min_wake_levels;
+        let can_report = |device: DeviceId| seen.batteries[device.index()] >= min_wake_levels[device.index()];
         let (device, score) = self.candidates.next_candidate(seen, can_report)?;
         Some((device, self.wake.state(score, seen.information, self.report_count)))
     }
@@ -132,6 +135,8 @@ impl QLearning {
         first + (last - first) * (seen.now.0 as f64 / seen.known.ttis.saturating_sub(1).max(1) as f64)
     }
 
+    /// Adds the reward of the last TTI to the total, then lets the table learn from it. The order matters: learning
+    /// consumes the decision.
     fn learn_duty(&mut self, seen: &Observation<'_>) {
         if let Some((reward, shares)) = self.duty.rewards() {
             debug_assert!(
@@ -166,7 +171,7 @@ impl Policy for QLearning {
         self.report_count = reports.len();
         // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there. The
         // draw for a pair is not in the stream of `decide`, which has the same purpose and TTI.
-        self.is_exploring = self.settings.learn
+        self.explores_event = self.settings.learn
             && seen
                 .known
                 .streams
@@ -184,7 +189,7 @@ impl Policy for QLearning {
             self.wake.learn(candidate.map(|(_, state)| state));
         }
         let (device, state) = candidate?;
-        if !self.is_exploring && !self.wake.is_worth_it(state) {
+        if !self.explores_event && !self.wake.is_worth_it(state) {
             return None;
         }
         self.wake.record_wake_up(state, seen.information);
@@ -220,18 +225,18 @@ impl Policy for QLearning {
         if !self.settings.learn {
             return None;
         }
-        let mut entry = TableSet::clone(&self.settings.initial_tables);
-        entry.duty = self.duty.table().clone();
+        let mut tables = TableSet::clone(&self.settings.initial_tables);
+        tables.duty = self.duty.table().clone();
         let wake = self.wake.table().clone();
         match self.ranking {
-            WakeUpRanking::P42 => entry.wake_p42 = wake,
-            WakeUpRanking::Posterior => entry.wake_posterior = wake,
+            WakeUpRanking::P42 => tables.wake_p42 = wake,
+            WakeUpRanking::Posterior => tables.wake_posterior = wake,
         }
-        Some(LearnedState::new(entry))
+        Some(LearnedState::new(tables))
     }
 }
 
-/// The policy `q-learning`.
+/// The policy `q-learning`. The text is part of docs/scenario.md.
 pub(crate) const Q_LEARNING: PolicyEntry = PolicyEntry {
     about: "Selects sensing devices by battery and newly covered area, with trained tables. Wakes devices by \
             expected gain.",

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use reveille_common::declare;
 use reveille_common::declare::{
-    ABOVE_ZERO, Alternative, BELOW_ONE, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, Range, ScenarioError,
-    Section, Visit, number, source, switch, whole,
+    Alternative, FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, Range, SHARE_ABOVE_ZERO, SHARE_BELOW_ONE,
+    ScenarioError, Section, Visit, number, switch, whole, word_or_file,
 };
 use reveille_common::scenario::Site;
 
@@ -21,7 +21,7 @@ use crate::beliefs::{ages, coverage};
 /// Range of the discount ζ. Beyond it Q-values take too long to learn.
 const DISCOUNT_RANGE: Range = Range::closed(0.0, 0.999);
 
-/// Named sources of tables, other than files.
+/// Named sources of tables, other than files. `load_tables`, `visit` and two defaults below repeat the names.
 const TABLES: &[Alternative] = &[
     Alternative {
         name: "shipped",
@@ -33,12 +33,13 @@ const TABLES: &[Alternative] = &[
     },
 ];
 
+// The texts repeat `DEFAULT_WEIGHTS`, the windows of the shipped tables and the rule of `Schedule::rate_decay`.
 declare! {
     /// Settings of the policy `q-learning` (Sec. V-B).
     #[derive(Clone, Debug)]
     struct Fields in "policy.q-learning" {
         /// Source of the tables; a file must be written by `reveille train`.
-        table: Option<String> = source(TABLES, "shipped"),
+        table: Option<String> = word_or_file(TABLES, "shipped"),
         /// Weight μ1 of misdetections in the reward. Unless the policy learns, it is the weight of the tables.
         mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT_WEIGHTS.mu1)
             .derived("value of the tables, or 14 (1 with `ages`)")
@@ -61,13 +62,13 @@ declare! {
         /// Whether the policy continues to learn in the run.
         learn: bool = switch(false),
         /// Probability of a random decision in the first TTI, while the policy learns.
-        epsilon: f64 = number(BELOW_ONE, 0.02).source("Sec. V-B"),
+        epsilon: f64 = number(SHARE_BELOW_ONE, 0.02).source("Sec. V-B"),
         /// Probability of a random decision in the last TTI. It changes linearly in between.
-        epsilon_last: f64 = number(BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
+        epsilon_last: f64 = number(SHARE_BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
         /// Exponent ω of the learning rate max((n + 4)^−ω, `rate_floor`) at the n-th visit of a value.
-        rate_decay: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_decay),
+        rate_decay: f64 = number(SHARE_ABOVE_ZERO, Schedule::DEFAULT.rate_decay),
         /// Minimum learning rate.
-        rate_floor: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_floor),
+        rate_floor: f64 = number(SHARE_ABOVE_ZERO, Schedule::DEFAULT.rate_floor),
         /// Factor of the initial values. With 1, an action starts at its largest immediate reward.
         optimism: f64 = number(NOT_NEGATIVE, Schedule::DEFAULT.optimism),
     }
@@ -123,7 +124,7 @@ pub struct QLearningSettings {
     /// of the application; with 1 the area is covered in every TTI.
     pub lookback: Lookback,
     /// Source of the tables.
-    pub source: TableSource,
+    pub table_source: TableSource,
     /// Whether the policy continues to learn in the run.
     pub learn: bool,
     /// Exploration probability while the policy learns, `[0, 1)`: in the first TTI and in the last. It changes linearly
@@ -152,7 +153,7 @@ impl QLearningSettings {
 
 impl Visit for QLearningSettings {
     fn visit(&self, sink: &mut dyn FieldSink) {
-        let table = match &self.source {
+        let table = match &self.table_source {
             TableSource::Shipped => "shipped".into(),
             TableSource::Nothing => "nothing".into(),
             TableSource::File(path) => path.to_string_lossy(),
@@ -163,6 +164,7 @@ impl Visit for QLearningSettings {
             sink.content(&self.initial_tables.fingerprint());
         }
         let fields = Fields {
+            // Visited above, with the content of the tables.
             table: None,
             mu1: Some(self.weights.mu1),
             mu2: Some(self.weights.mu2),
@@ -229,12 +231,12 @@ fn warn_of_differences(reader: &FieldReader<'_>, differences: &[String]) {
 
 fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
     let fields = Fields::read(reader)?;
-    let name = fields.table.as_deref().unwrap_or("shipped");
+    let table_name = fields.table.as_deref().unwrap_or("shipped");
     let run_site = TrainingSite::from_site(site);
-    let (source, learned) = load_tables(reader, &fields, name, &run_site)?;
+    let (table_source, learned) = load_tables(reader, &fields, table_name, &run_site)?;
     if learned.is_none() && !fields.learn {
         let allowed = "needs policy.q-learning.learn = true, because the policy starts without tables; or name a table";
-        return Err(reader.invalid_value("policy.q-learning.table", name, allowed));
+        return Err(reader.invalid_value("policy.q-learning.table", table_name, allowed));
     }
     let (window, ages) = (fields.window, fields.ages);
     let lookback = fields.lookback();
@@ -262,7 +264,7 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
     Ok(QLearningSettings {
         weights,
         lookback,
-        source,
+        table_source,
         learn: fields.learn,
         epsilon: (fields.epsilon, fields.epsilon_last),
         schedule,
@@ -304,21 +306,25 @@ fn resolve_weights(
     })
 }
 
+/// Returns the tables that `table_name` names, a source or a file; no tables for `nothing`.
+///
+/// # Errors
+/// The file cannot be read, or is the checkpoint of an unfinished training.
 fn load_tables(
     reader: &FieldReader<'_>,
     fields: &Fields,
-    name: &str,
+    table_name: &str,
     run_site: &TrainingSite,
 ) -> Result<(TableSource, Option<Arc<LearnedTables>>), ScenarioError> {
     let field = "policy.q-learning.table";
-    Ok(match name {
+    Ok(match table_name {
         "shipped" => (
             TableSource::Shipped,
             Some(Arc::new(LearnedTables::shipped(run_site, fields.ages))),
         ),
         "nothing" => (TableSource::Nothing, None),
         file => {
-            let path = reader.file(field, file)?;
+            let path = reader.absolute_path(field, file)?;
             match LearnedTables::read(reader.files(), &path) {
                 Ok(tables) if tables.is_unfinished() => {
                     let why = "is the checkpoint of an unfinished training; repeat its command to finish it";
@@ -333,13 +339,16 @@ fn load_tables(
 
 /// Returns the entry of `tables` for the lookback and density of the scenario. A policy that learns can start from the
 /// entry of another window.
+///
+/// # Errors
+/// No entry serves the lookback, or the density.
 fn select_entry(
     reader: &FieldReader<'_>,
     fields: &Fields,
     tables: &LearnedTables,
     site: &Site<'_>,
 ) -> Result<TableSet, ScenarioError> {
-    let (name, surface) = (fields.table.as_deref().unwrap_or("shipped"), site.area.surface());
+    let (table_name, surface) = (fields.table.as_deref().unwrap_or("shipped"), site.area.surface());
     let requested = fields.lookback();
     let trained = tables.lookbacks();
     let lookback = if trained.contains(&requested) {
@@ -357,8 +366,8 @@ fn select_entry(
         };
         let trained: Vec<String> = trained.iter().map(as_field).collect();
         let allowed = format!(
-            "has no tables in {name}, which has tables for {trained}; set one of these, or train others: reveille \
-             train q-learning --windows {requested} --out FILE, with the same --scenario and --set",
+            "has no tables in {table_name}, which has tables for {trained}; set one of these, or train others: \
+             reveille train q-learning --windows {requested} --out FILE, with the same --scenario and --set",
             trained = trained.join(", "),
         );
         return Err(match requested {
@@ -377,6 +386,6 @@ fn select_entry(
                 lookback.describe(),
                 n = site.devices,
             );
-            reader.invalid_value("policy.q-learning.table", name, allowed)
+            reader.invalid_value("policy.q-learning.table", table_name, allowed)
         })
 }

@@ -1,6 +1,8 @@
 //! Wake-up decisions of `q-learning`: candidates are woken one by one until waking the best is worth nothing, by a
-//! table that learns from the answers. Calls for each wake-up: [`WakeLearner::is_worth_it`], `record_wake_up`,
-//! `record_answer`, then [`WakeLearner::learn`] with the state of the next candidate.
+//! table that learns from the answers. [`QLearning`](super::QLearning), in runs and trainings, calls for each candidate
+//! [`WakeLearner::state`], `is_worth_it`, `record_wake_up`, `record_answer`, then [`WakeLearner::learn`] with the state
+//! of the next candidate; without learning it omits the last call. Trained tables (`learned/shipped-*.json`) hold sums
+//! of these rewards by these buckets, so a change of either needs new tables.
 
 use super::learned::{
     INFORMATION_BUCKETS, LearningRates, QWeights, REPORT_BUCKETS, SCORE_BUCKETS, Schedule, WakeTable,
@@ -15,10 +17,11 @@ pub(crate) type WakeState = [usize; 3];
 pub struct WakeLearner {
     table: WakeTable,
     rates: LearningRates,
-    /// [`WakeTable::monotone_q`] by buckets of Î and reports.
+    /// Copy of [`WakeTable::monotone_q`], by buckets of Î, of reports and of the score, in this order.
     monotone_q: [[[f64; SCORE_BUCKETS]; REPORT_BUCKETS]; INFORMATION_BUCKETS],
-    /// Worth μ2 N of all information in N r*(k).
+    /// μ2 N, the worth of one unit of information in N r*(k).
     information_worth: f64,
+    /// Ψ, the unit of the buckets of scores and information.
     psi: f64,
     /// State and previous Î of the wake-up that waits for its answer.
     awaiting_answer: Option<(WakeState, f64)>,
@@ -27,7 +30,7 @@ pub struct WakeLearner {
 }
 
 impl WakeLearner {
-    /// Creates a learner with `table` for `devices` devices, whose reports are worth at most `psi`.
+    /// Creates a learner with `table` for `devices` devices, whose reports carry at most the information `psi`.
     pub fn new(table: WakeTable, weights: &QWeights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
         let by_reports = |information| std::array::from_fn(|reports| table.monotone_q(information, reports));
         Self {
@@ -127,14 +130,14 @@ mod tests {
                 WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
             // The information of the first report is not due to a wake-up.
             let mut distances = vec![4.0 * stream.unit()];
-            let information = |distances: &[f64]| {
+            let fused_information = |distances: &[f64]| {
                 let reports = distances.iter().map(|d| psi * libm::exp(-d));
                 match sensing.g {
                     Fusion::Max => reports.fold(0.0, f64::max),
                     Fusion::SumSaturation => reports.sum::<f64>().min(psi),
                 }
             };
-            let first_information = information(&distances);
+            let first_information = fused_information(&distances);
             assert!(
                 learner.record_answer(first_information).abs() < 1e-12,
                 "no device was woken"
@@ -148,14 +151,15 @@ mod tests {
                 if stream.unit() < 0.67 {
                     distances.push(4.0 * stream.unit());
                 }
-                received = distances[1..].iter().fold(first_information, |information, &d| {
-                    sensing.fuse(information, sensing.information(d))
+                received = distances[1..].iter().fold(first_information, |fused, &d| {
+                    sensing.fuse(fused, sensing.information(d))
                 });
                 reward_sum += learner.record_answer(received);
                 learner.learn(None);
             }
             let n = f64::from(devices);
-            let expected = n * (weights.mu2 * (information(&distances) - first_information) - wake_ups as f64 / n);
+            let gain = fused_information(&distances) - first_information;
+            let expected = n * (weights.mu2 * gain - wake_ups as f64 / n);
             assert!(
                 (reward_sum - expected).abs() < 1e-9 * n,
                 "event {event}: rewards add up to {reward_sum}, not {expected}"
@@ -229,7 +233,7 @@ mod tests {
             values[17..].iter().all(|value| (value - pooled_value).abs() < 1e-9),
             "not pooled to {pooled_value}: {values:?}"
         );
-        let mut used = values.iter().zip(&wake.monotone_q[2][1]);
-        assert!(used.all(|(learned, used)| (learned - used).abs() < 1e-12));
+        let mut pairs = values.iter().zip(&wake.monotone_q[2][1]);
+        assert!(pairs.all(|(learned, copied)| (learned - copied).abs() < 1e-12));
     }
 }

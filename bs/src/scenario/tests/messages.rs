@@ -1,4 +1,5 @@
-//! Tests of the errors for invalid scenarios and of the warnings: field, value, allowed values and place.
+//! Tests of the errors for invalid scenarios and of the warnings: field, value, allowed values and place. The texts are
+//! in `common/src/declare/`, `common/src/scenario/` and the modules of layouts, harvests and policies.
 
 use std::path::Path;
 
@@ -106,6 +107,7 @@ fn pilot_runs_have_the_limits_of_runs() {
     let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000\n\
                 harvest.e_b = 100";
     let message = load_text(text).expect_err("too long").to_string();
+    // (2⁶⁴ micro-units / 10⁶ devices − 100 units) / (100 + 1 + 1/14 + 10 units), rounded down.
     let expected = "policy.adjusted.pilot_ttis = 1000000: must be at most 166079 with 1000000 devices that hold up to \
                     100 units and harvest or spend up to 111.1 units in a TTI";
     assert!(
@@ -119,6 +121,7 @@ fn full_batteries_of_all_devices_must_fit_in_64_bits() {
     let text = |devices: u32| format!("devices = {devices}\nttis = 10\n[energy]\ne_max = 1_000_000_000");
     load_text(&text(18_000)).expect("their batteries fit");
     let message = load_text(&text(20_000)).expect_err("too much energy").to_string();
+    // 2⁶³ micro-units / 20000 devices: half of the energy that fits, so that some TTIs remain.
     assert_eq!(
         message,
         "energy.e_max = 1000000000 units: must be at most 461168601.842738 units with 20000 devices, or sums of energy \
@@ -293,6 +296,7 @@ fn errors_in_data_files_name_row_and_column() {
         ),
         (trace("t.csv", "w"), "line 3, column `w`: -2 times"),
         (trace("empty.csv", "w"), "has no rows"),
+        // Without the cargo feature `parquet` the message is another one.
         (trace("t.parquet", "w"), "arquet"),
         (trace("", "w"), "harvest.trace.file = \"\": must be the path"),
         (
@@ -323,9 +327,9 @@ fn fields_without_effect_are_warned_of() {
         "{warnings:?}"
     );
     assert!(warnings[0].ends_with("set by --set harvest.lambda=0.7"), "{warnings:?}");
-    let one_class = classes.replace("harvest.lambda = 0.2\n", "");
+    let b_without_lambda = classes.replace("harvest.lambda = 0.2\n", "");
     assert!(
-        parse(&one_class, "t", Path::new(""), &lambda)
+        parse(&b_without_lambda, "t", Path::new(""), &lambda)
             .expect("valid")
             .warnings
             .is_empty()

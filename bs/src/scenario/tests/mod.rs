@@ -37,7 +37,7 @@ fn examples_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/scenarios")
 }
 
-/// Creates a temporary folder with the data files of one test.
+/// Creates a temporary folder with the data files of one test, which removes it. `name` must be unique among the tests.
 fn create_folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("reveille-scenario-{}-{name}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
@@ -164,6 +164,7 @@ fn alpha_of_bursts_is_the_mean_of_both_phases() {
         .expect("valid")
         .scenario
         .events;
+    // The defaults: 0.8 in 40 busy TTIs, 0.02 in 160 quiet ones.
     assert!((with_defaults.alpha - 0.176).abs() < 1e-15, "{with_defaults:?}");
 }
 
@@ -265,14 +266,17 @@ fn a_layout_file_can_set_the_class_of_each_device() {
     };
     let load_layout = |file: &str, share: &str| parse(&text(file, share), "my.toml", &folder, &[]);
     let Loaded {
-        scenario: placed,
+        scenario: classes_by_layout,
         warnings,
     } = load_layout("good.csv", "").expect("valid");
-    assert_eq!(assign_classes(&placed), [1, 0]);
-    assert!((placed.classes[0].share - 0.5).abs() < 1e-12);
+    assert_eq!(assign_classes(&classes_by_layout), [1, 0]);
+    assert!((classes_by_layout.classes[0].share - 0.5).abs() < 1e-12);
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(warnings[0].contains("good.csv has 3 positions; the first 2 are used"));
-    assert_eq!(load_text(&placed.to_toml()).expect("valid"), placed);
+    assert_eq!(
+        load_text(&classes_by_layout.to_toml()).expect("valid"),
+        classes_by_layout
+    );
     let with_shares = load_layout("good.csv", "share = 0.5").expect("valid");
     assert!(
         with_shares
@@ -280,7 +284,7 @@ fn a_layout_file_can_set_the_class_of_each_device() {
             .iter()
             .any(|w| w.starts_with("class.share, class.devices and zones have no effect"))
     );
-    assert_eq!(with_shares.scenario.hash(), placed.hash());
+    assert_eq!(with_shares.scenario.hash(), classes_by_layout.hash());
     let unknown_class = load_layout("bad.csv", "").expect_err("no such class").to_string();
     assert!(
         unknown_class.contains("line 3, column `class`: the scenario has no class \"stron\"")

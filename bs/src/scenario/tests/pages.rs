@@ -1,4 +1,5 @@
-//! Tests of output generated from the declarations: reference page, schema, complete scenario file, fuzz dictionary.
+//! Tests of output generated from the declarations: reference page, schema, complete scenario file; and of the first
+//! part of the fuzz dictionary, which is written by hand.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -20,7 +21,7 @@ fn the_reference_page_is_current() {
 #[test]
 fn the_schema_and_the_complete_file_contain_every_field() {
     let schema: serde_json::Value = serde_json::from_str(&schema()).expect("JSON");
-    let page = load("paper", &[])
+    let complete_file = load("paper", &[])
         .expect("a preset")
         .scenario
         .to_full_toml(&registry::all_policies());
@@ -31,10 +32,13 @@ fn the_schema_and_the_complete_file_contain_every_field() {
         assert!(schema.pointer(&pointer).is_some(), "{path} is not in the schema");
         let name = path.rsplit('.').next().expect("a name");
         let sets_field = |line: &str| line.trim_start_matches("# ").starts_with(&format!("{name} = "));
-        assert!(page.lines().any(sets_field), "{path} is not in the complete file");
+        assert!(
+            complete_file.lines().any(sets_field),
+            "{path} is not in the complete file"
+        );
     }
     assert_eq!(
-        load_text(&page).expect("the complete file loads"),
+        load_text(&complete_file).expect("the complete file loads"),
         load("paper", &[]).expect("a preset").scenario
     );
     let lambda = schema
@@ -65,7 +69,7 @@ fn the_fuzz_dictionary_contains_exactly_the_declared_words() {
         .flat_map(|section| section.fields)
     {
         words.insert(field.name);
-        if let FieldType::Choice(alternatives) | FieldType::Source(alternatives) = field.field_type {
+        if let FieldType::Choice(alternatives) | FieldType::WordOrFile(alternatives) = field.field_type {
             words.extend(alternatives.iter().map(|alternative| alternative.name));
         }
     }

@@ -42,13 +42,13 @@ struct HostResult {
     views: Vec<DeviceView>,
 }
 
-/// Data that a grant requests in addition to reports.
+/// Data that a grant requests in addition to reports, as in [`GrantMessage`](reveille_common::message::GrantMessage).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GrantOptions {
-    /// Sums over the devices.
-    pub totals: bool,
-    /// States and batteries.
-    pub views: bool,
+    /// Whether it requests sums over the devices.
+    pub wants_totals: bool,
+    /// Whether it requests states and batteries.
+    pub wants_views: bool,
 }
 
 /// One answer of each host.
@@ -57,27 +57,27 @@ struct Answers<T> {
     /// By position in the roster.
     by_host: Vec<Option<T>>,
     /// Number of hosts that have not answered, without removed ones.
-    missing: usize,
+    missing_count: usize,
 }
 
 impl<T> Answers<T> {
     fn new(roster: &Roster) -> Self {
         Self {
             by_host: (0..roster.host_count()).map(|_| None).collect(),
-            missing: roster.active_host_count(),
+            missing_count: roster.active_host_count(),
         }
     }
 
     /// Stops waiting for the host at this position. Returns its answer, if it gave one.
     fn remove_host(&mut self, position: usize) -> Option<T> {
         let answer = self.by_host[position].take();
-        self.missing -= usize::from(answer.is_none());
+        self.missing_count -= usize::from(answer.is_none());
         answer
     }
 
     fn replace_answer(&mut self, position: usize, answer: T) -> Option<T> {
         let previous = self.by_host[position].replace(answer);
-        self.missing -= usize::from(previous.is_none());
+        self.missing_count -= usize::from(previous.is_none());
         previous
     }
 }
@@ -89,7 +89,7 @@ enum BarrierState {
     Grant {
         tti: Tti,
         may_report: bool,
-        /// The additional data in the answers.
+        /// The additional data that the answers must have.
         options: GrantOptions,
         answers: Answers<HostResult>,
         /// Number of reports that the answers so far announce.
@@ -200,7 +200,7 @@ impl Barrier {
         self.unexpected_messages += 1;
     }
 
-    /// Takes in a report from `host`. Returns whether the barrier is complete.
+    /// Takes in a report from `host`, whose credential the caller has checked. Returns whether the barrier is complete.
     pub fn receive_report(&mut self, host: HostId, report: Report) -> bool {
         let position = self.roster.position(host);
         let is_possible = position.is_some_and(|position| self.roster.owns(position, report.device))
@@ -239,7 +239,8 @@ impl Barrier {
         self.last_granted.is_some_and(|last| tti <= last)
     }
 
-    /// Takes in an answer from `host`. Returns whether the barrier is complete.
+    /// Takes in an answer from `host`, whose credential the caller has checked. Returns whether the barrier is
+    /// complete.
     pub fn receive_answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
         let is_for_granted_tti = match &answer {
             HostAnswer::GrantDone { tti, .. } | HostAnswer::NoReport { tti, .. } => self.was_granted(*tti),
@@ -309,8 +310,8 @@ impl Barrier {
                     && answered_tti == *tti
                     && (*may_report || is_quiet)
                     && roster.is_possible_answer(position, reports, &failures, unpowered)
-                    && totals.is_some() == options.totals
-                    && views.is_some() == options.views
+                    && totals.is_some() == options.wants_totals
+                    && views.is_some() == options.wants_views
                     && views
                         .as_ref()
                         .is_none_or(|views| roster.are_possible_views(position, views))
@@ -383,9 +384,9 @@ impl Barrier {
                 announced_reports,
                 reports,
                 ..
-            } => answers.missing == 0 && reports.len() >= *announced_reports,
+            } => answers.missing_count == 0 && reports.len() >= *announced_reports,
             BarrierState::WakeUp { outcome, .. } => outcome.is_some(),
-            BarrierState::Ledgers { answers } => answers.missing == 0,
+            BarrierState::Ledgers { answers } => answers.missing_count == 0,
         }
     }
 
@@ -400,11 +401,12 @@ impl Barrier {
                 reports,
                 options,
                 ..
-            } if answers.missing == 0 => {
+            } if answers.missing_count == 0 => {
+                let view_count = usize::from(options.wants_views) * self.roster.device_count();
                 let mut grant_result = GrantResult {
                     reports: reports.into_values().collect(),
                     // No host answers for removed devices, so their views keep this value.
-                    views: vec![REMOVED_VIEW; if options.views { self.roster.device_count() } else { 0 }],
+                    views: vec![REMOVED_VIEW; view_count],
                     ..GrantResult::default()
                 };
                 for (position, result) in answers.by_host.into_iter().enumerate() {
@@ -412,7 +414,7 @@ impl Barrier {
                     grant_result.failures.extend(result.failures);
                     grant_result.unpowered += u64::from(result.unpowered);
                     grant_result.totals += result.totals.unwrap_or_default();
-                    if options.views {
+                    if options.wants_views {
                         let first = self.roster.assignment(position).first.index();
                         // In range: `are_possible_views` has checked that there is one view for each device of the
                         // host.
@@ -454,7 +456,7 @@ impl Barrier {
     /// If they are not complete.
     pub fn take_ledgers(&mut self) -> Vec<(DeviceId, Ledger)> {
         match std::mem::replace(&mut self.state, BarrierState::Idle) {
-            BarrierState::Ledgers { answers } if answers.missing == 0 => {
+            BarrierState::Ledgers { answers } if answers.missing_count == 0 => {
                 answers.by_host.into_iter().flatten().flatten().collect()
             }
             BarrierState::Idle
@@ -475,10 +477,10 @@ impl Barrier {
             BarrierState::Grant { answers, .. } => answers.by_host.iter().map(Option::is_none).collect(),
             BarrierState::Ledgers { answers } => answers.by_host.iter().map(Option::is_none).collect(),
         };
-        let missing = (0..)
+        let missing_positions = (0..)
             .zip(is_missing)
-            .filter(|(position, missing)| *missing && !self.roster.is_removed(*position));
-        missing
+            .filter(|(position, is_missing)| *is_missing && !self.roster.is_removed(*position));
+        missing_positions
             .map(|(position, _)| self.roster.assignment(position).host)
             .collect()
     }

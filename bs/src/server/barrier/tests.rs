@@ -1,4 +1,6 @@
 //! Tests of [`Barrier`]: the hosts that it waits for, and the answers and reports that it accepts, without a bus.
+//! Removed hosts, ledgers and the checks of sums and views are left to `tests/fuzz/fuzz_targets/hosts.rs`, to the tests
+//! of `roster`, and to runs over the bus.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{HostAnswer, Report, WakeOutcome};
@@ -38,6 +40,7 @@ fn waiting_barrier(is_event_active: bool) -> Barrier {
 
 /// Passes on a report from the host of its device. Returns whether the barrier is complete.
 fn receive_from_own_host(barrier: &mut Barrier, report: Report) -> bool {
+    // In `two_host_roster` each host runs five devices.
     barrier.receive_report(HostId(report.device.0 / 5), report)
 }
 

@@ -1,6 +1,7 @@
 //! Client side of the policy port, for a Rust process that decides for a run. On the bus the base station asks and this
-//! process replies, so the "client" serves. `python/reveille/policy_client.py` is the same client in Python: a change
-//! of the protocol concerns both.
+//! process replies, so the "client" serves. [`serve_decisions`] runs it; tests and policies in Rust call it.
+//! `python/reveille/policy_client.py` is the same client in Python, and docs/policy-port.md describes the protocol and
+//! `MAX_BS_ABSENCE`: a change concerns all three.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -65,7 +66,7 @@ pub async fn serve_decisions(
         bs_alive_writer.store(is_alive, Ordering::Relaxed);
     })?;
     let requests = bus.serve_policy_port()?;
-    let mut session = ClientSession {
+    let mut client = ClientState {
         id: format!("{:016x}", draw_nonce()?),
         identity,
         last_reply: None,
@@ -74,29 +75,29 @@ pub async fn serve_decisions(
     };
     // The base station may start later than this process, so its absence counts from here.
     let mut last_seen = now();
-    while !session.is_over {
+    while !client.is_over {
         if is_bs_alive.load(Ordering::Relaxed) {
             last_seen = now();
         } else if last_seen.elapsed() >= MAX_BS_ABSENCE {
-            return if session.last_reply.is_some() {
-                Ok(session.decision_count)
+            return if client.last_reply.is_some() {
+                Ok(client.decision_count)
             } else {
                 Err(bus.no_run_error().await)
             };
         }
         match tokio::time::timeout(CHECK_INTERVAL, requests.next()).await {
-            Ok(Some(request)) => session.handle_request(&request, policy)?,
-            // The session on the bus is closed.
+            Ok(Some(request)) => client.handle_request(&request, policy)?,
+            // The bus is closed.
             Ok(None) => break,
             // No request within the interval: the base station is checked again.
             Err(_) => {}
         }
     }
-    Ok(session.decision_count)
+    Ok(client.decision_count)
 }
 
 /// State of a policy process between requests.
-struct ClientSession<'a> {
+struct ClientState<'a> {
     /// Random id of this process, to which the base station addresses its decision requests.
     id: String,
     identity: &'a ClientIdentity,
@@ -108,7 +109,7 @@ struct ClientSession<'a> {
     is_over: bool,
 }
 
-impl ClientSession<'_> {
+impl ClientState<'_> {
     fn handle_request(&mut self, request: &PortRequest, policy: &mut impl PolicyClient) -> Result<(), BusError> {
         let encoding = request.encoding;
         let invalid = |why: String| request.reply_error(&format!("invalid request: {why}"));
@@ -161,6 +162,7 @@ impl ClientSession<'_> {
         Ok(self.last_reply.as_ref().map(|(_, reply)| encoding.encode(reply)))
     }
 
+    /// The text of the run's key; empty if the run has none.
     fn run_key(&self) -> String {
         self.identity.run_key.map_or_else(String::new, |key| key.to_string())
     }
@@ -210,7 +212,7 @@ mod tests {
             run_key: None,
             encoding: Encoding::Cbor,
         };
-        let mut session = ClientSession {
+        let mut client = ClientState {
             id: "a".to_owned(),
             identity: &identity,
             last_reply: None,
@@ -239,7 +241,7 @@ mod tests {
         let mut decisions = (0..).map(|device| Decision::Wake(vec![DeviceId(device)]));
         let mut policy = |_: &DecisionRequest| decisions.next().expect("endless");
         let mut woken = |request: &DecisionRequest, encoding: Encoding| {
-            let reply = session.decide(&encoding.encode(request), encoding, &mut policy);
+            let reply = client.decide(&encoding.encode(request), encoding, &mut policy);
             let reply: Option<DecisionReply> = reply
                 .expect("a valid request")
                 .map(|bytes| encoding.decode(&bytes).expect("a reply in this encoding"));

@@ -9,7 +9,7 @@
 //! ```
 //! After an invalid answer the process receives the request again, with the reason. A process that gives three invalid
 //! answers to a request, or none in time, has not decided. Then the run ends, or it keeps the current plan and wakes no
-//! device ([`OnUndecided`]).
+//! device ([`OnUndecided`]). docs/policy-port.md states these rules and some of the limits below.
 
 pub mod client;
 
@@ -53,7 +53,7 @@ const MAX_ANSWER_BASE_BYTES: usize = 4096;
 const MAX_ANSWER_BYTES_PER_DEVICE: usize = 64;
 /// Time for policy processes to receive the end of the run.
 const BYE_TIMEOUT: Duration = Duration::from_millis(500);
-/// Largest length of an id, and characters of a name that are shown.
+/// Largest length of an id, and number of characters of a name that are shown.
 const MAX_NAME_CHARS: usize = 64;
 
 /// Notifies the policy processes on `bus` that the run has ended, so that they exit. Waits at most 0.5 s for their
@@ -118,8 +118,9 @@ enum PeerReply {
 pub(super) struct PolicyPort<'a> {
     bus: &'a Bus,
     run_key: Option<Secret>,
+    /// Name of the run, for the hello.
     run: String,
-    /// `None` if all decisions come from the input log.
+    /// The time limit of each decision; `None` if all decisions come from the input log.
     timeout: Option<DecisionTimeout>,
     peer: Option<PolicyPeer>,
     /// The hello to policy processes, built at the first decision request.
@@ -239,7 +240,7 @@ impl<'a> PolicyPort<'a> {
                     }
                 }
                 ControlFlow::Continue(Some(PeerReply::Invalid(why))) => {
-                    self.counts.refused += 1;
+                    self.counts.refused_answers += 1;
                     invalid_answers += 1;
                     tracing::warn!(%tti, "invalid answer: {why}");
                     if invalid_answers >= MAX_INVALID_ANSWERS {
@@ -385,12 +386,16 @@ impl<'a> PolicyPort<'a> {
         (stage, tti, devices): (DecisionStage, Tti, u32),
         wait: &mut DecisionWait<'_>,
     ) -> WaitResult<PeerReply> {
-        let encoding = self.peer.as_ref().map_or(Encoding::Json, |peer| peer.encoding);
+        let request_encoding = self.peer.as_ref().map_or(Encoding::Json, |peer| peer.encoding);
         // The bound follows from the largest valid answer, so a hostile process cannot fill the memory.
         let max_bytes = MAX_ANSWER_BASE_BYTES + MAX_ANSWER_BYTES_PER_DEVICE * devices as usize;
         let mut replies = self
             .bus
-            .query_policy((encoding.encode(request), encoding), max_bytes, REQUEST_TIMEOUT)
+            .query_policy(
+                (request_encoding.encode(request), request_encoding),
+                max_bytes,
+                REQUEST_TIMEOUT,
+            )
             .await?;
         loop {
             match wait.next(&mut replies).await {
@@ -441,7 +446,7 @@ impl<'a> PolicyPort<'a> {
         };
         let extra_answers = replies.drain().filter(is_from_same_peer).count() as u64;
         if extra_answers > 0 {
-            self.counts.refused += extra_answers;
+            self.counts.refused_answers += extra_answers;
             self.warn_about_peer("a decision request was answered twice; the first answer counts".to_owned());
         }
     }
@@ -474,6 +479,7 @@ impl<'a> PolicyPort<'a> {
     }
 }
 
+/// The wait for one decision, over all attempts.
 struct DecisionWait<'a> {
     progress: &'a RunProgress,
     started: Instant,

@@ -1,5 +1,6 @@
 //! The source `diurnal`: arrivals whose probability follows the sun of [`super::sun`] through day and night. Digests
-//! depend on the draws, one per arrival. [`DiurnalSetup`] is part of the wire format.
+//! depend on the draws, one per arrival. [`DiurnalSetup`] and [`DayKnowledge`] are part of the wire format. Doc
+//! comments of fields and words appear in `docs/scenario.md`.
 
 use std::sync::Arc;
 
@@ -74,7 +75,7 @@ pub struct Diurnal {
     pub sun: Sun,
     /// Whether g is 1 in the daily mean, or with the sun at the zenith.
     pub reference: IrradianceReference,
-    /// The base station's knowledge.
+    /// The base station's prior knowledge of the day.
     pub known: DayKnowledge,
     /// The daily mean of irradiance, relative to a sun in the zenith.
     mean_irradiance: f64,
@@ -84,7 +85,8 @@ impl Diurnal {
     /// The fields of this kind only.
     pub const SECTION: &'static Section = Settings::SECTION;
 
-    /// Creates the source of these `arrivals` under `sun`.
+    /// Creates the source of these `arrivals` under `sun`. Loading a scenario checks that the probabilities are below
+    /// 1, this function does not.
     pub fn new(arrivals: Arrivals, sun: Sun, reference: IrradianceReference, known: DayKnowledge) -> Self {
         let mean_irradiance = sun.mean_irradiance();
         Self {
@@ -142,6 +144,7 @@ impl Diurnal {
         Ok(diurnal)
     }
 
+    /// Passes every field to `sink`. The scenario hash depends on the order.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         self.arrivals.visit(sink);
         let Sun {
@@ -196,11 +199,12 @@ pub struct DiurnalSetup {
     pub mean_probability: f64,
     /// Energy E_B of an arrival.
     pub e_b: Energy,
-    /// The base station's knowledge.
+    /// The base station's prior knowledge of the day.
     pub known: DayKnowledge,
 }
 
 impl DiurnalSetup {
+    /// Whether a setup from the wire is valid: the limits of the fields and of [`Diurnal::from_fields`].
     pub(super) fn is_valid(&self) -> bool {
         let Sun {
             latitude,
@@ -280,6 +284,7 @@ impl DiurnalSetup {
     }
 }
 
+/// The state of the source on a device.
 #[derive(Clone, Debug)]
 pub(super) struct DiurnalSource {
     hazards: Arc<CumulativeHazard>,
@@ -288,12 +293,13 @@ pub(super) struct DiurnalSource {
 }
 
 impl DiurnalSource {
-    /// Returns the arrival in `now` and the TTI of the next one.
+    /// Returns the arrival in `now`, the TTI of the next arrival from the last call, and the TTI of the one after it.
     #[inline]
     pub(super) fn take(&mut self, now: Tti) -> (Energy, Tti) {
         (self.e_b, self.next_from(now + 1))
     }
 
+    /// Draws the TTI of the first arrival in or after TTI `from`.
     fn next_from(&mut self, from: Tti) -> Tti {
         if self.e_b == Energy::ZERO {
             return Tti::NEVER;

@@ -1,5 +1,6 @@
 //! Tests of [`Diurnal`] and [`CumulativeHazard`]: counts of arrivals against their probabilities, means against closed
-//! forms, and gaps against steps through single TTIs. The sun itself is tested in `harvest/sun.rs`.
+//! forms, gaps against steps through single TTIs, and invalid setups. The sun itself is tested in `harvest/sun.rs`.
+//! No test here covers the errors of scenario fields. Counts may deviate by 4.5 standard errors.
 
 use crate::harvest::{Harvest, HarvestSetup, HarvestSource};
 use crate::ids::DeviceId;
@@ -81,7 +82,7 @@ fn arrivals_have_the_probabilities_of_their_slot() {
                 0.0
             };
         }
-        // The sum of some twelve squares of standard normal draws.
+        // The sum of at most twelve squares of standard normal draws exceeds 35 with a probability below 0.1 %.
         assert!(square_sum < 35.0, "sum of squared deviations {square_sum}");
     }
 }
@@ -106,7 +107,7 @@ fn arrivals_in_consecutive_ttis_are_independent() {
     for slot in 0..24 {
         expected_pairs += days as f64 * probabilities[slot] * probabilities[(slot + 1) % 24];
     }
-    assert!(expected_pairs > 10_000.0);
+    assert!(expected_pairs > 10_000.0, "enough pairs for the normal approximation");
     assert!(
         (pair_count as f64 - expected_pairs).abs() < 4.5 * expected_pairs.sqrt(),
         "{pair_count} pairs of arrivals, not {expected_pairs}"

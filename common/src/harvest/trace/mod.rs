@@ -1,7 +1,8 @@
 //! The source `trace`: recorded energy, or irradiance that [`super::panel`] converts, from a CSV or Parquet file.
 //!
-//! The scenario hash covers the converted values, so a change of the conversion changes the hash.
-//! [`TraceSetup`] and [`TraceEnd`] are part of the wire format.
+//! The scenario hash covers the converted values, and the names and order of the fields in `visit`. Digests and the
+//! reference in `tests/src/` depend on the values too. [`TraceSetup`] and [`TraceEnd`] are part of the wire format
+//! (`WIRE_VERSION`). A test compares the words and doc comments of choices and fields with `docs/scenario.md`.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -104,7 +105,7 @@ pub struct HarvestTrace {
 pub enum TraceColumns {
     /// All devices of the class read this column.
     Shared(String),
-    /// The i-th device of the class reads the i-th of these columns, cyclically.
+    /// The i-th device of the class reads the i-th of these columns, cyclically; at least one.
     PerDevice(Vec<String>),
 }
 
@@ -127,8 +128,10 @@ impl HarvestTrace {
                  energy and the duration of a row",
             );
         }
-        let (field_path, because) = ("harvest.trace.file", "harvest.kind");
-        let file = settings.file.ok_or_else(|| reader.missing_value(field_path, because))?;
+        let (field_path, required_by) = ("harvest.trace.file", "harvest.kind");
+        let file = settings
+            .file
+            .ok_or_else(|| reader.missing_value(field_path, required_by))?;
         let columns = match (settings.column, settings.columns) {
             (Some(column), None) => TraceColumns::Shared(column),
             (None, Some(columns)) => TraceColumns::PerDevice(columns),
@@ -137,10 +140,10 @@ impl HarvestTrace {
                 return Err(reader.invalid_value("harvest.trace.column", column, allowed));
             }
             (None, None) => {
-                return Err(reader.missing_value("harvest.trace.column (or harvest.trace.columns)", because));
+                return Err(reader.missing_value("harvest.trace.column (or harvest.trace.columns)", required_by));
             }
         };
-        let file = reader.file(field_path, &file)?;
+        let file = reader.absolute_path(field_path, &file)?;
         let names = match &columns {
             TraceColumns::Shared(name) => std::slice::from_ref(name),
             TraceColumns::PerDevice(names) => names,
@@ -231,7 +234,7 @@ impl HarvestTrace {
         self.values.iter().flatten().max().copied().unwrap_or_default()
     }
 
-    /// The index of the column, from 0, that the `nth` device of a class reads.
+    /// The index of the column that the `nth` device of a class reads, both from 0.
     pub(super) fn column_index(&self, nth: u32) -> u32 {
         match &self.columns {
             TraceColumns::Shared(_) => 0,
@@ -254,7 +257,7 @@ impl HarvestTrace {
 ///
 /// # Errors
 /// If only a part of the file is in `numbers`, and it ends before the run has read `needed_rows` of a trace that
-/// cycles.
+/// cycles. [`columns::read_numbers`] decides whether it keeps a part.
 fn start_at_row(
     mut numbers: ColumnData<f64>,
     start: usize,
@@ -274,7 +277,7 @@ fn start_at_row(
     }
     match end {
         TraceEnd::Cycle => numbers.rotate_rows(start),
-        TraceEnd::Stop => numbers.remove_rows_before(start),
+        TraceEnd::Stop => numbers.remove_first_rows(start),
     }
     Ok(numbers)
 }
@@ -329,7 +332,7 @@ pub struct TraceSetup {
 }
 
 impl TraceSetup {
-    /// The rows of this trace, from the run's `traces`.
+    /// The rows of this trace, from the run's `traces`, energy per TTI; `None` if it is not among them.
     fn find_rows<'t>(&self, traces: &'t [Arc<Vec<Energy>>]) -> Option<&'t Arc<Vec<Energy>>> {
         traces.get(self.trace as usize)
     }
@@ -345,7 +348,7 @@ impl TraceSetup {
         Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
     }
 
-    /// The harvest in the first `ttis` TTIs, micro-units.
+    /// The harvest in the first `ttis` TTIs, micro-units; 0 if `traces` lacks this trace.
     pub(super) fn micro_in(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> u128 {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
         let sum = |rows: &[Energy]| rows.iter().map(|energy| u128::from(energy.micro())).sum::<u128>();
@@ -371,6 +374,9 @@ impl TraceSetup {
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.
+    ///
+    /// # Panics
+    /// If the setup is not [valid](Self::is_valid) with these `traces`.
     pub(super) fn source(&self, traces: &[Arc<Vec<Energy>>]) -> (TraceSource, Tti) {
         let source = TraceSource {
             rows: Arc::clone(&traces[self.trace as usize]),
@@ -399,13 +405,13 @@ impl TraceSource {
 
     /// The first TTI, not before `from`, whose row is not zero.
     fn next_from(&self, from: Tti) -> Tti {
-        let (first_row, n) = (from.0 / self.ttis_per_row, self.rows.len() as u64);
+        let (first_row, row_count) = (from.0 / self.ttis_per_row, self.rows.len() as u64);
         let past_last = match self.end {
-            TraceEnd::Cycle => first_row.saturating_add(n + 1),
-            TraceEnd::Stop => n,
+            TraceEnd::Cycle => first_row.saturating_add(row_count + 1),
+            TraceEnd::Stop => row_count,
         };
         (first_row..past_last)
-            .find(|&row| self.rows[(row % n) as usize] > Energy::ZERO)
+            .find(|&row| self.rows[(row % row_count) as usize] > Energy::ZERO)
             .map_or(Tti::NEVER, |row| Tti((row * self.ttis_per_row).max(from.0)))
     }
 }

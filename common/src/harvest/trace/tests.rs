@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::*;
-use crate::harvest::testing::{draw_harvests, trace_fields};
+use crate::harvest::testing::{draw_mean_harvests, trace_fields};
 use crate::scenario::testing::{load, load_with, scenario_with};
 
 fn ghi_column(text: &str) -> ColumnData<f64> {
@@ -55,8 +55,8 @@ fn a_trace_starts_at_the_given_row_and_then_repeats_or_stops() {
             let mut fields = trace_fields(&format!("start-{end}"), end);
             fields.extend(["ttis=31".to_owned(), format!("harvest.trace.start={start}")]);
             let scenario = scenario_with(&fields);
-            let drawn = draw_harvests(&scenario);
-            for (device, drawn) in drawn.iter().enumerate() {
+            let drawn_means = draw_mean_harvests(&scenario);
+            for (device, drawn_mean) in drawn_means.iter().enumerate() {
                 let harvest_in = |tti: usize| {
                     let row = start + tti / 4;
                     match end {
@@ -66,26 +66,26 @@ fn a_trace_starts_at_the_given_row_and_then_repeats_or_stops() {
                 };
                 let expected = (0..31).map(harvest_in).sum::<f64>() / 31.0;
                 assert!(
-                    (drawn - expected).abs() < 1e-12,
-                    "{end} from row {start}, device {device}: {drawn}"
+                    (drawn_mean - expected).abs() < 1e-12,
+                    "{end} from row {start}, device {device}: {drawn_mean}"
                 );
-                let class = &scenario.classes[0].harvest;
+                let declared = &scenario.classes[0].harvest;
                 if device == 0 {
                     // The base station knows the mean of the rows that are used, not that a trace stops.
-                    let rows = if end == "stop" { 3 - start } else { 3 };
-                    let sum: f64 = columns[0][3 - rows..].iter().sum();
-                    let known = sum / rows as f64;
-                    let mean = class.mean(1.0).units();
+                    let row_count = if end == "stop" { 3 - start } else { 3 };
+                    let sum: f64 = columns[0][3 - row_count..].iter().sum();
+                    let known = sum / row_count as f64;
+                    let mean = declared.mean(1.0).units();
                     assert!(
                         (mean - known).abs() < 1e-6,
                         "{end} from row {start}: mean {mean}, not {known}"
                     );
                 }
             }
-            let page = scenario.to_toml();
-            assert_eq!(page.contains("\nstart = "), start > 0, "{page}");
+            let toml = scenario.to_toml();
+            assert_eq!(toml.contains("\nstart = "), start > 0, "{toml}");
             let file = std::env::temp_dir().join(format!("reveille-start-{end}-{}.toml", std::process::id()));
-            std::fs::write(&file, page).expect("a file");
+            std::fs::write(&file, toml).expect("a file");
             let reloaded = load(&file.to_string_lossy(), &[]).expect("a scenario");
             assert_eq!(reloaded, scenario, "{end} from row {start}");
         }
@@ -106,7 +106,8 @@ fn a_start_after_the_last_row_is_refused() {
     );
 }
 
-/// The file has 10 020 rows, and the list names its column 1000 times: more than the 10⁷ values that are kept.
+/// The file has 10 020 rows, and the list names its column 1000 times: more than the 10⁷ values that are kept
+/// (`MAX_VALUES` in `columns/data.rs`).
 #[test]
 fn a_trace_with_too_many_rows_is_read_in_part() {
     let path = std::env::temp_dir().join(format!("reveille-long-{}.csv", std::process::id()));
@@ -135,9 +136,9 @@ fn a_trace_with_too_many_rows_is_read_in_part() {
         .iter()
         .map(|energy| energy.units());
     assert_eq!(read.collect::<Vec<f64>>(), (5..15).map(f64::from).collect::<Vec<f64>>());
-    assert_eq!(draw_harvests(&middle), [9.5]);
+    assert_eq!(draw_mean_harvests(&middle), [9.5]);
     let end = load_from(10_015, 10, "stop").expect("a scenario");
-    assert_eq!(draw_harvests(&end), [(25.0 + 26.0 + 27.0 + 28.0 + 29.0) / 10.0]);
+    assert_eq!(draw_mean_harvests(&end), [(25.0 + 26.0 + 27.0 + 28.0 + 29.0) / 10.0]);
     let error = load_from(10_015, 10, "cycle")
         .expect_err("too late to repeat")
         .to_string();

@@ -1,4 +1,5 @@
-//! Checks of the whole command line against clap's own definition of it.
+//! Checks of the whole command line against clap's own definition of it. `cli/examples.rs` checks the helps and every
+//! number option.
 
 mod option_table;
 
@@ -11,7 +12,8 @@ fn the_command_line_is_consistent() {
     Cli::command().debug_assert();
 }
 
-/// Each number is one that its command cannot use.
+/// Each number is one that its command cannot use. The list is not complete; its upper ends are `MAX_DEVICES`,
+/// `MAX_TTIS`, `MAX_SEEDS` of sweeps, and the largest numbers of the types.
 #[test]
 fn numbers_below_a_range_are_refused_with_the_range() {
     for (line, range) in [
@@ -46,16 +48,16 @@ fn commands(command: &Command) -> Vec<Command> {
     visible.flat_map(commands).chain([command.clone()]).collect()
 }
 
-/// Returns a valid value of an option that takes a list.
-fn sample(arg: &Arg) -> String {
+/// Returns a valid item of an option that takes a list: its first default or possible value, or else 7.
+fn sample_item(arg: &Arg) -> String {
     let default_list = arg.get_default_values().first().and_then(|value| value.to_str());
-    let default = default_list.and_then(|text| text.split(',').next()).map(str::to_owned);
-    let possible = || {
+    let first_default = default_list.and_then(|text| text.split(',').next()).map(str::to_owned);
+    let first_possible = || {
         arg.get_possible_values()
             .first()
             .map(|value| value.get_name().to_owned())
     };
-    default.or_else(possible).unwrap_or_else(|| "7".to_owned())
+    first_default.or_else(first_possible).unwrap_or_else(|| "7".to_owned())
 }
 
 #[test]
@@ -67,8 +69,8 @@ fn the_items_of_a_list_may_have_spaces_around_them() {
             .filter(|arg| arg.get_value_delimiter() == Some(','))
         {
             option_count += 1;
-            let (id, value) = (arg.get_id().as_str(), sample(arg));
-            // The epsilon of a training has exactly two values.
+            let (id, value) = (arg.get_id().as_str(), sample_item(arg));
+            // Exactly two items, because `--epsilon` of a training takes two.
             let line = format!("--{}={value}, {value}", arg.get_long().expect("an option"));
             let without_required = command
                 .clone()
@@ -85,5 +87,6 @@ fn the_items_of_a_list_may_have_spaces_around_them() {
             }
         }
     }
+    // A lower bound, so that the loop finds the options.
     assert!(option_count > 15, "only {option_count} options take a list");
 }

@@ -1,5 +1,6 @@
 //! Compares the table of options in `docs/command-line.md` with the options of the commands that execute runs or
-//! their devices.
+//! their devices: names, commands and the defaults that clap knows. Meanings, and defaults that only a help text states
+//! (`[default: …]`), are not compared.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +10,7 @@ use crate::cli::Cli;
 
 /// The page with the table.
 const PAGE: &str = include_str!("../../../../docs/command-line.md");
-/// The heading above the table.
+/// The heading above the table, which ends before the next heading of this level.
 const HEADING: &str = "## Options of a run\n";
 /// The commands in the table.
 const COMMANDS: [&str; 4] = ["up", "run", "bs", "device"];
@@ -23,7 +24,7 @@ fn quoted(cell: &str) -> impl Iterator<Item = &str> {
 }
 
 /// Returns the cells of each row of the table, without its head.
-fn rows() -> Vec<Vec<&'static str>> {
+fn table_rows() -> Vec<Vec<&'static str>> {
     let (_, section) = PAGE.split_once(HEADING).expect("the heading");
     let section = section.split("\n## ").next().unwrap_or_default();
     let lines = section.lines().filter(|line| line.starts_with('|'));
@@ -40,7 +41,7 @@ fn name_in_table(cell: &str) -> String {
 }
 
 /// Returns the name of an option of a command in the same form.
-fn name(arg: &Arg) -> Option<String> {
+fn name_in_program(arg: &Arg) -> Option<String> {
     let long = arg.get_long().map(|long| format!("--{long}"))?;
     Some(
         arg.get_short()
@@ -49,11 +50,11 @@ fn name(arg: &Arg) -> Option<String> {
 }
 
 /// Returns the options of a command that `--help` shows.
-fn options(command: &'static str, program: &Command) -> Vec<(CommandOption, Arg)> {
+fn visible_options(command: &'static str, program: &Command) -> Vec<(CommandOption, Arg)> {
     let subcommand = program.find_subcommand(command).expect("a command");
     let visible = subcommand.get_arguments().filter(|arg| !arg.is_hide_set());
     visible
-        .filter_map(|arg| Some(((name(arg)?, command), arg.clone())))
+        .filter_map(|arg| Some(((name_in_program(arg)?, command), arg.clone())))
         .collect()
 }
 
@@ -62,10 +63,10 @@ fn the_table_lists_every_option_of_a_run() {
     let program = Cli::command();
     let args: BTreeMap<CommandOption, Arg> = COMMANDS
         .into_iter()
-        .flat_map(|command| options(command, &program))
+        .flat_map(|command| visible_options(command, &program))
         .collect();
     let mut listed = BTreeSet::new();
-    for row in rows() {
+    for row in table_rows() {
         let [option, commands, meaning, default] = row[..] else {
             panic!("not four cells: {row:?}");
         };

@@ -1,5 +1,6 @@
 //! `reveille analyse battery`: the chain of Sec. III-B and Eq. (8) next to measured batteries. The calculation is in
-//! `study/src/analysis/battery/`. Names of sheets and columns are a public interface (see `sheet`).
+//! `study/src/analysis/battery/`. Names of sheets and columns are a public interface (see `sheet`). The cells of a row
+//! follow its columns by position. `tests/program/analyse.rs` compares parts of the notes.
 
 use anyhow::bail;
 use reveille_bs::scenario::Scenario;
@@ -11,6 +12,7 @@ use super::lists::{build_scenario, parse_duties, parse_energies, parse_numbers};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::BatteryArgs;
 
+/// One row per battery: the cells of [`chain_row`].
 const CHAIN_COLUMNS: &[&str] = &[
     "e_b",
     "duty",
@@ -22,6 +24,8 @@ const CHAIN_COLUMNS: &[&str] = &[
     "residual",
     "ttis_to_steady",
 ];
+/// Two rows per battery: the cells of [`availability_rows`]. The `eq8_…` columns are the `sum`, `sum_by_beta` and
+/// `printed_beta` of `Eq8`.
 const AVAILABILITY_COLUMNS: &[&str] = &[
     "event",
     "e_b",
@@ -34,6 +38,7 @@ const AVAILABILITY_COLUMNS: &[&str] = &[
     "eq8_sum_by_beta",
     "eq8_beta_as_named",
 ];
+/// One row per bin of each battery: the cells of [`level_rows`].
 const LEVEL_COLUMNS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
 
 /// Solves the chain, measures the run and compares both.
@@ -54,7 +59,7 @@ pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<()> {
             seed: scenario.run.seed,
             devices: args.devices,
             ttis: args.ttis,
-            // The default share of a scenario.
+            // The default share of a scenario; the help of `--ttis` states it.
             warm_up: args.ttis / 10,
         },
         bin_width: args.bin,
@@ -85,6 +90,7 @@ pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<()> {
     findings.present(&args.study)
 }
 
+/// Returns the class of all devices.
 fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
     match &scenario.classes[..] {
         [class] => Ok(class),
@@ -95,6 +101,7 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
     }
 }
 
+/// Returns the reading of λ and λ of the scenario's energy source.
 fn energy_source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
     let reading = LambdaReading::ALL
         .into_iter()
@@ -107,8 +114,9 @@ fn energy_source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
 
 type BatteryResults = [(BatteryStudy, BatteryComparison)];
 
-/// The tables. The distribution comes first, for --csv, if only one battery is studied.
-fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
+/// Returns the tables. The distribution comes first, for `--csv`, if only one battery is studied; otherwise only JSON
+/// has it.
+fn sheets(results: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
     let chain = Sheet {
         name: "chain",
         title: format!(
@@ -116,21 +124,21 @@ fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
             args.bin
         ),
         columns: CHAIN_COLUMNS,
-        rows: found.iter().map(chain_row).collect(),
+        rows: results.iter().map(chain_row).collect(),
     };
     let availability = Sheet {
         name: "availability",
         title: "Pr(B ≥ E) at the end of a TTI, four ways.".to_owned(),
         columns: AVAILABILITY_COLUMNS,
-        rows: found.iter().flat_map(availability_rows).collect(),
+        rows: results.iter().flat_map(availability_rows).collect(),
     };
     let levels = Sheet {
         name: "levels",
         title: "The distribution of the battery level.".to_owned(),
         columns: LEVEL_COLUMNS,
-        rows: found.iter().flat_map(level_rows).collect(),
+        rows: results.iter().flat_map(level_rows).collect(),
     };
-    if args.study.csv.is_some() && found.len() == 1 {
+    if args.study.csv.is_some() && results.len() == 1 {
         vec![levels, chain, availability]
     } else if args.study.json {
         vec![chain, availability, levels]
@@ -139,6 +147,7 @@ fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
     }
 }
 
+/// Returns the cells of `e_b`, `duty` and `activation`, which identify a battery in every sheet.
 fn key_cells(study: &BatteryStudy) -> [SheetValue; 3] {
     [
         study.e_b.units().into(),
@@ -147,74 +156,80 @@ fn key_cells(study: &BatteryStudy) -> [SheetValue; 3] {
     ]
 }
 
-fn chain_row((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<SheetValue> {
+fn chain_row((study, comparison): &(BatteryStudy, BatteryComparison)) -> Vec<SheetValue> {
     let values: [SheetValue; 6] = [
-        found.total_variation.into(),
-        found.chain_mean.into(),
-        found.measured_mean.mean.into(),
-        found.measured_mean.half_width.into(),
-        found.steady.residual.into(),
-        found.steady.transitions_to_steady_state.into(),
+        comparison.total_variation.into(),
+        comparison.chain_mean.into(),
+        comparison.measured_mean.mean.into(),
+        comparison.measured_mean.half_width.into(),
+        comparison.steady.residual.into(),
+        comparison.steady.transitions_to_steady_state.into(),
     ];
     key_cells(study).into_iter().chain(values).collect()
 }
 
-fn availability_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
-    let names = ["B ≥ E_Tx", "B ≥ E_idle"];
-    let rows = names.into_iter().zip(&found.availability);
-    rows.map(|(name, a)| {
-        let values: [SheetValue; 6] = [
-            a.chain.into(),
-            a.measured.mean.into(),
-            a.measured.half_width.into(),
-            a.eq8.sum.into(),
-            a.eq8.sum_by_beta.into(),
-            a.eq8.printed_beta.into(),
-        ];
-        [name.into()]
-            .into_iter()
-            .chain(key_cells(study))
-            .chain(values)
-            .collect()
-    })
-    .collect()
+fn availability_rows((study, comparison): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
+    // In the order of `BatteryComparison::availability`.
+    let event_names = ["B ≥ E_Tx", "B ≥ E_idle"];
+    let events = event_names.into_iter().zip(&comparison.availability);
+    events
+        .map(|(event_name, availability)| {
+            let values: [SheetValue; 6] = [
+                availability.chain.into(),
+                availability.measured.mean.into(),
+                availability.measured.half_width.into(),
+                availability.eq8.sum.into(),
+                availability.eq8.sum_by_beta.into(),
+                availability.eq8.printed_beta.into(),
+            ];
+            [event_name.into()]
+                .into_iter()
+                .chain(key_cells(study))
+                .chain(values)
+                .collect()
+        })
+        .collect()
 }
 
-fn level_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
+fn level_rows((study, comparison): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
     let row = |&(from, chain, measured): &(f64, f64, f64)| {
         let values: [SheetValue; 3] = [from.into(), chain.into(), measured.into()];
         key_cells(study).into_iter().chain(values).collect()
     };
-    found.bins.iter().map(row).collect()
+    comparison.bins.iter().map(row).collect()
 }
 
-fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
-    let largest = found.iter().map(|(_, c)| c.total_variation).fold(0.0, f64::max);
+fn notes(results: &BatteryResults, bin_width: f64) -> Vec<String> {
+    let largest = results
+        .iter()
+        .map(|(_, comparison)| comparison.total_variation)
+        .fold(0.0, f64::max);
     let mut notes = vec![format!(
         "Largest total variation distance of chain and machines: {largest:.4}."
     )];
-    if let Some((study, first)) = found.first() {
-        let per_unit = first.lattice.quanta_per_unit;
+    if let Some((study, comparison)) = results.first() {
+        let per_unit = comparison.lattice.quanta_per_unit;
         notes.push(format!(
             "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta in \
-             the chain. Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
+             the chain. Levels of both go to the nearest quantum, then into bins [0, {bin_width}), [{bin_width}, {}), \
+             … of units.",
             study.model.e_wur.micro(),
-            first.lattice.e_wur,
-            2.0 * bin
+            comparison.lattice.e_wur,
+            2.0 * bin_width
         ));
     }
-    let above: Vec<String> = found
+    let sums_above_one: Vec<String> = results
         .iter()
-        .flat_map(|(study, c)| describe_above_one(study, c))
+        .flat_map(|(study, comparison)| describe_sums_above_one(study, comparison))
         .collect();
-    if let Some(example) = above.first() {
+    if let Some(example) = sums_above_one.first() {
         notes.push(format!(
             "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms have different numbers of \
              trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
-            above.len()
+            sums_above_one.len()
         ));
     }
-    if let Some(example) = found.iter().find_map(|one| describe_fall(one, found)) {
+    if let Some(example) = results.iter().find_map(|result| describe_fall(result, results)) {
         notes.push(format!(
             "Eq. (8) as printed falls with a larger harvest: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
              while B and E count units. P, the probability to spend, is used as the probability of success."
@@ -230,9 +245,9 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
 }
 
 /// Describes the probabilities of Eq. (8) as printed that are above 1.
-fn describe_above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
-    let above = found.availability.iter().filter(|a| a.eq8.sum > 1.0);
-    above
+fn describe_sums_above_one(study: &BatteryStudy, comparison: &BatteryComparison) -> Vec<String> {
+    let above_one = comparison.availability.iter().filter(|a| a.eq8.sum > 1.0);
+    above_one
         .map(|a| {
             format!(
                 "{:.3} for E = {} units, E_B = {}, P = {}",
@@ -246,16 +261,17 @@ fn describe_above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<St
 }
 
 /// Describes two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
-fn describe_fall((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
+fn describe_fall((study, comparison): &(BatteryStudy, BatteryComparison), results: &BatteryResults) -> Option<String> {
     let has_same_settings = |other: &BatteryStudy| {
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
             // Compared by bits, since both values come from one list of the command line.
             && other.activation.to_bits() == study.activation.to_bits()
     };
-    all.iter()
+    results
+        .iter()
         .filter(|(other, _)| has_same_settings(other) && other.e_b > study.e_b)
         .find_map(|(other, other_comparison)| {
-            let pairs = found.availability.iter().zip(&other_comparison.availability);
+            let pairs = comparison.availability.iter().zip(&other_comparison.availability);
             pairs
             // A fall of less than 10⁻⁶ can be rounding.
             .filter(|(a, b)| b.eq8.sum < a.eq8.sum * (1.0 - 1e-6) && b.chain > a.chain)

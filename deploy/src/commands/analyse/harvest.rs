@@ -1,5 +1,6 @@
 //! `reveille analyse harvest`: harvested and net energy against λ, next to the thresholds that the paper states. The
 //! calculation is in `study/src/analysis/harvest.rs`. Names of sheets and columns are a public interface (see `sheet`).
+//! The cells of a row follow its columns by position.
 
 use reveille_common::units::Energy;
 use reveille_lab::stats::Estimate;
@@ -12,6 +13,7 @@ use super::lists::{build_scenario, parse_energies, parse_numbers, parse_readings
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::HarvestArgs;
 
+/// One row per reading, E_B and λ: the cells of [`point_row`].
 const POINT_COLUMNS: &[&str] = &[
     "reading",
     "e_b",
@@ -23,6 +25,7 @@ const POINT_COLUMNS: &[&str] = &[
     "net",
     "net_half_width",
 ];
+/// One row per N, policy, consumption, E_B and reading: `n`, `policy` and `consumption`, then [`crossing_cells`].
 const CROSSING_COLUMNS: &[&str] = &[
     "n",
     "policy",
@@ -85,17 +88,17 @@ pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<()> {
     findings.present(&args.study)
 }
 
-fn point_row(p: &HarvestPoint) -> Vec<SheetValue> {
+fn point_row(point: &HarvestPoint) -> Vec<SheetValue> {
     vec![
-        p.reading.name().into(),
-        p.e_b.into(),
-        p.lambda.into(),
-        p.closed_form.into(),
-        p.harvested.mean.into(),
-        p.harvested.half_width.into(),
-        p.spent.mean.into(),
-        p.net.mean.into(),
-        p.net.half_width.into(),
+        point.reading.name().into(),
+        point.e_b.into(),
+        point.lambda.into(),
+        point.closed_form.into(),
+        point.harvested.mean.into(),
+        point.harvested.half_width.into(),
+        point.spent.mean.into(),
+        point.net.mean.into(),
+        point.net.half_width.into(),
     ]
 }
 
@@ -116,17 +119,17 @@ fn crossing_rows(
                     ("--ttis", "ttis", args.ttis.as_deref()),
                 ],
             )?;
-            let consumed = [
+            let consumptions = [
                 ("as in the scenario", measure_consumption(&scenario, args.seeds)?),
                 ("never short", measure_demand(&scenario, args.seeds)?),
             ];
-            for (kind, consumed) in consumed {
+            for (consumption_name, consumed) in consumptions {
                 for reading in readings {
                     for e_b in energies {
-                        let key = [scenario.run.devices.into(), (*policy).into(), kind.into()];
-                        let row =
+                        let key = [scenario.run.devices.into(), (*policy).into(), consumption_name.into()];
+                        let cells =
                             crossing_cells(&consumed, *reading, e_b.units(), scenario.run.tau, scenario.run.devices);
-                        rows.push(key.into_iter().chain(row).collect());
+                        rows.push(key.into_iter().chain(cells).collect());
                     }
                 }
             }
@@ -149,7 +152,7 @@ fn crossing_cells(consumed: &Estimate, reading: LambdaReading, e_b: f64, tau: f6
     ]
 }
 
-/// Formats the threshold stated in the paper; "–" if no threshold applies to `reading`.
+/// Formats the threshold that the paper states for these N and E_B, under Eq. (5) only; "–" without a threshold.
 fn stated_threshold(reading: LambdaReading, devices: u32, e_b: f64) -> String {
     let applies =
         |s: &&StatedThreshold| reading == LambdaReading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;

@@ -76,7 +76,7 @@ impl ComparedRun {
         }
         let reader = RunReader::open(path)?;
         let Some(summary) = reader.summary.clone() else {
-            let state = reader.unfinished().unwrap_or_default();
+            let state = reader.unfinished_state().unwrap_or_default();
             bail!(
                 "{}: {state}, so it has no results; wait for its end, or resume it",
                 path.display()

@@ -330,7 +330,7 @@ mod tests {
                         tti: next_tti.unwrap_or_default(),
                         ttis: scenario.run.ttis,
                         paused,
-                        until: end,
+                        stop_before: end,
                         pace: Pace::Max,
                         begun: true,
                         devices: scenario.run.devices,

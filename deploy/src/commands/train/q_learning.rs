@@ -11,7 +11,7 @@ use reveille_common::digits::format_significant;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint_path};
 
-use crate::cli::TrainArgs;
+use crate::cli::QLearningArgs;
 use crate::commands::resolve_scenario::resolve_with_builtin_policy;
 use crate::display::{self, note};
 use crate::exit::Interrupted;
@@ -19,9 +19,9 @@ use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
 
 /// Trains the requested tables.
-pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_with_builtin_policy(&args.scenario()?)?;
-    let training = args.episodes.training()?;
+    let training = args.episodes.training_config()?;
     let mut largest_scenario = scenario.clone();
     largest_scenario.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
     if training.ttis > largest_scenario.max_ttis() {

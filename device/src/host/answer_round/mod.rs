@@ -43,7 +43,7 @@ pub enum DeviceAnswer {
     Unpowered,
     /// A device with its state and battery.
     View(DeviceId, DeviceView),
-    /// A device with its ledger.
+    /// A device with its ledger. A grant's answer contains only the sum of the ledgers.
     Ledger(DeviceId, Box<Ledger>),
     /// An empty part, of a device or of the host itself.
     Nothing,
@@ -51,7 +51,7 @@ pub enum DeviceAnswer {
 
 impl Parts {
     /// Returns the views in the order of device ids, if the request asked for them.
-    fn views(&self) -> Option<Vec<DeviceView>> {
+    fn sorted_views(&self) -> Option<Vec<DeviceView>> {
         let mut views = self.views.clone();
         // Actors add their parts in any order.
         views.sort_unstable_by_key(|(device, _)| *device);
@@ -60,8 +60,8 @@ impl Parts {
 }
 
 impl AnswerRound {
-    /// Creates the answer to a request with exactly `device_parts` parts of devices, which `host/mod.rs` counts. The
-    /// host adds one further part once it has distributed the request.
+    /// Creates the answer to a request with exactly `device_parts` parts of devices, which `host/mod.rs` counts: a
+    /// device can add several. The host adds one further part once it has distributed the request.
     pub fn new(host: HostId, request: HostRequest, device_parts: usize) -> Self {
         Self {
             host,
@@ -73,7 +73,11 @@ impl AnswerRound {
         }
     }
 
-    /// Adds one device's part, or the host's own. The last part sends the answer.
+    /// Adds one device's part, or the host's own. The last part sends the answer. The caller sends a report before it
+    /// adds the part.
+    ///
+    /// # Panics
+    /// May panic if more parts are added than [`Self::new`] has announced.
     pub fn add(&self, part: &DeviceAnswer, uplink: &Uplink) {
         if let Some(answer) = self.add_part(part) {
             uplink.send_answer(&answer);
@@ -92,7 +96,8 @@ impl AnswerRound {
         }
     }
 
-    /// Adds a part and returns the answer if it was the last one.
+    /// Adds a part and returns the answer if it was the last one. Reports, failures and ledgers stay in the order of
+    /// arrival; the base station sorts them.
     fn add_part(&self, part: &DeviceAnswer) -> Option<HostAnswer> {
         let mut parts = self.lock();
         match part {
@@ -126,7 +131,7 @@ impl AnswerRound {
                 failures: parts.failures.clone(),
                 unpowered: parts.unpowered,
                 totals: parts.totals,
-                views: parts.views(),
+                views: parts.sorted_views(),
             },
             HostRequest::Ledgers => HostAnswer::Ledgers {
                 host: self.host,

@@ -1,4 +1,5 @@
 //! Tests of [`AnswerRound`]: it answers once, when all parts have arrived, and repeats the same answer on request.
+//! Nothing is sent: parts are added by `add_part`, without an uplink. All numbers are arbitrary.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{FailedTransmission, HostAnswer, Report};

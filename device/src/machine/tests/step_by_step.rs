@@ -245,7 +245,7 @@ fn any_radio() -> impl Strategy<Value = RadioSettings> {
 fn draw_false_wake_ups(radio: &RadioSettings, ttis: u64) -> Vec<bool> {
     let (gap_distribution, mut stream) = (
         Geometric::new(radio.false_wake_up),
-        Stream::new(1, Purpose::FalseWakes, 7),
+        Stream::new(1, Purpose::FalseWakeUps, 7),
     );
     let mut gap = gap_distribution.draw(&mut stream);
     let is_due_by_tti = (0..ttis).map(|_| {

@@ -1,5 +1,6 @@
 //! Selection of the devices to put in S1, whose looks are worth more than they cost. `age-index`, `dt` and `q-learning`
-//! with ages plan by it. Ties and the order of evaluations are part of the result.
+//! with ages plan by it. Ties and the order of evaluations are part of the result, and so of digests. docs/age-index.md
+//! states the rule; `tests/src/reference/age_index.rs` repeats it, with `IMPROVEMENT_ROUNDS`.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -44,8 +45,9 @@ impl DeviceSelector {
     }
 
     /// Adds devices to `ages` so that their total worth less their total price is large, and returns them in the order
-    /// of choice. Devices already chosen there stay. `prices` are in the unit of [`Ages::gain`], above 0, and infinite
-    /// for devices that may not be chosen.
+    /// in which they were chosen. `ages` has the positions and the area of this selector. `prices`, one per device, are
+    /// in the unit of [`Ages::gain`], above 0, and infinite for devices that may not be chosen. Devices already chosen
+    /// in `ages` stay; their prices must be infinite, since the selector may choose them again.
     ///
     /// A greedy pass first adds the device with the highest ratio of worth to price, as long as its worth exceeds its
     /// price. Then each chosen device is removed in turn, `IMPROVEMENT_ROUNDS` times. Of this device and the others
@@ -58,8 +60,8 @@ impl DeviceSelector {
         self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
     }
 
-    /// Chooses devices greedily. A worth never grows as others are chosen, so a candidate whose worth is unchanged is
-    /// the best, and few candidates are evaluated twice.
+    /// Chooses devices by the ratio of worth to price. A worth never grows as others are chosen, so a candidate whose
+    /// worth is unchanged is the best, and few candidates are evaluated twice.
     fn choose_greedily(&mut self, ages: &mut Ages, prices: &[f64]) {
         // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
         let mut keys = std::mem::take(&mut self.heap).into_vec();

@@ -1,5 +1,5 @@
 //! Tests of [`DeviceSelector`]: choices against the best subset of a few devices, without redundant devices, and within
-//! prices.
+//! prices. `tests/tests/age_index.rs` compares whole choices with the reference.
 
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
@@ -44,7 +44,7 @@ fn net_worth(ages: &Ages, prices: &[f64], devices: impl IntoIterator<Item = usiz
 }
 
 /// Over 80 % of the choices equal the best of all subsets. Each has at least 70 % of its net worth, over 99 % on
-/// average.
+/// average. These are limits for the seeds below, not requirements.
 #[test]
 fn choices_are_close_to_the_best_subset() {
     const N: u32 = 7;
@@ -97,7 +97,9 @@ fn a_device_that_covers_all_cells_is_chosen_alone() {
     let positions = [Point::new(3.1, 0.2), Point::new(0.5, 0.2), Point::new(5.5, 0.2)];
     let mut ages = Ages::new(&positions, area, &sensing(DetectionKind::Range), age_worths());
     let cells_covered = ages.gain(0);
+    // A price below the gain of one cell.
     let chosen = DeviceSelector::new(&positions, area, D_MAX).choose(&mut ages, &[0.2; 3]);
+    // A cell has 0.16 m².
     let covers_all = (cells_covered * ages.cell_surface() - area.surface()).abs() < 0.3;
     assert!(covers_all, "device 0 covers {cells_covered} cells");
     assert_eq!(chosen, [DeviceId(0)], "no other device adds anything");

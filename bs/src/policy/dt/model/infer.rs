@@ -1,5 +1,7 @@
-//! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, so change both. The
-//! bits of the result are the same for every [`VectorWidth`]; digests depend on them.
+//! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, without the limit
+//! of the price; `tests.rs` here repeats it as well. A change needs new models: raise
+//! [`FORMAT_VERSION`](super::weights::FORMAT_VERSION) and train the shipped one again. The bits of the result are the
+//! same for every [`VectorWidth`]; digests depend on them.
 //!
 //! A token attends to the last Z TTIs of the same device, whose keys and values are kept: Eqs. (`delta(k)2`) and
 //! (`delta(k)3`) in the LaTeX source of the paper. Then, if `attends_to_devices`, the devices attend to each other.
@@ -25,8 +27,8 @@ pub const OUTPUT_LIMIT: f32 = 3.0;
 /// price.
 pub(crate) const LOG_PRICE_LIMIT: f32 = 5.0;
 
-/// State of a model that processes one TTI after another, for N devices. Arrays are stored row by row: `[N, d]` has a
-/// row for each device, as wide as an embedding ([`super::ModelShape::width`]).
+/// State of a model that processes the TTIs of one run in order, for N devices. Arrays are stored row by row: `[N, d]`
+/// has a row for each device, as wide as an embedding ([`super::ModelShape::width`]).
 #[derive(Clone, Debug)]
 pub struct ForwardPass {
     weights: Arc<ModelWeights>,
@@ -51,7 +53,7 @@ pub struct ForwardPass {
     hidden: Vec<f32>,
     /// `[N, OUTPUTS]`.
     outputs: Vec<f32>,
-    /// Weights of the last temporal attention, `[N, heads, Z]` by lag.
+    /// Shares of the TTIs in the last temporal attention, `[N, heads, Z]` by lag.
     attention: Vec<f32>,
     key_value_sums: Vec<KeyValueSum>,
     /// Mean over devices, followed by a target: `[d + 1]`.
@@ -94,7 +96,8 @@ impl ForwardPass {
     }
 
     /// Processes the next TTI with these tokens, `[N, F]` for F = `tokens::FEATURE_COUNT`. Returns the outputs of each
-    /// device, `[N, OUTPUTS]`: logarithms within ± [`OUTPUT_LIMIT`].
+    /// device, `[N, OUTPUTS]`: logarithms within ± [`OUTPUT_LIMIT`]. The length of `tokens` is not checked; devices
+    /// without a token would keep their last state.
     pub fn step(&mut self, tokens: &[f32]) -> &[f32] {
         let vector_width = self.vector_width;
         vector_width.run(
@@ -121,8 +124,8 @@ impl ForwardPass {
         }
     }
 
-    /// Returns the logarithm of the price in the TTI of the last step, within ± `LOG_PRICE_LIMIT`. `target` is the
-    /// share of new events to detect in their first TTI.
+    /// Returns the logarithm of the price in the TTI of the last [`Self::step`], within ± `LOG_PRICE_LIMIT`. `target`
+    /// is the share of new events to detect in their first TTI.
     pub fn log_price(&mut self, target: f32) -> f32 {
         let d = self.weights.shape.width;
         self.pooled.fill(0.0);
@@ -153,19 +156,19 @@ impl ForwardPass {
         let shape = weights.shape;
         let (d, z, head_width) = (shape.width, shape.memory, shape.head_width());
         let time = &weights.time;
-        let (slot, size) = (self.ttis_processed % z, self.devices * d);
+        let (slot, tti_len) = (self.ttis_processed % z, self.devices * d);
         rms_norm(&self.state, &time.norm, &mut self.normalised);
         time.query.apply(&self.normalised, &mut self.query);
         time.key
-            .apply(&self.normalised, &mut self.keys[slot * size..(slot + 1) * size]);
+            .apply(&self.normalised, &mut self.keys[slot * tti_len..(slot + 1) * tti_len]);
         time.value
-            .apply(&self.normalised, &mut self.values[slot * size..(slot + 1) * size]);
+            .apply(&self.normalised, &mut self.values[slot * tti_len..(slot + 1) * tti_len]);
         let known_lags = (self.ttis_processed + 1).min(z);
         let scale = 1.0 / (head_width as f32).sqrt();
         // Keys and values are a ring of Z TTIs: the start of the entry for each lag.
-        let slot_start = |lag: usize| ((self.ttis_processed - lag) % z) * size;
+        let slot_start = |lag: usize| ((self.ttis_processed - lag) % z) * tti_len;
         for lag in 0..known_lags {
-            let keys = &self.keys[slot_start(lag)..][..size];
+            let keys = &self.keys[slot_start(lag)..][..tti_len];
             // Scores are stored by head and then by lag, so the scores of one lag are Z apart.
             let scores = self.attention[lag..].iter_mut().step_by(z);
             let pairs = self.query.chunks_exact(head_width).zip(keys.chunks_exact(head_width));

@@ -5,6 +5,9 @@
 //! of a run depend on them. Outputs are computed side by side, which the compiler turns into vector instructions of the
 //! chosen [`VectorWidth`]. Code must be inlined into [`VectorWidth::run`] to use them, so every function here is marked
 //! for inlining.
+//!
+//! Loops over `as_chunks` take four columns at a time and silently skip a remainder. Rows must therefore have a
+//! multiple of four columns, as [`super::ModelShape::is_valid`] requires of a head.
 
 #![expect(
     clippy::inline_always,
@@ -162,25 +165,25 @@ fn multiply_rows<const R: usize>(
 ) {
     let inputs = x_columns.width;
     let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * x_columns.stride + x_columns.start..][..inputs]);
-    for (tile, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
+    for (tile, (tile_weights, tile_bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
         // Each output is summed in the order of `i` for any R, so the rows of a remainder have the same bits.
-        let mut sums = [*bias; R];
-        for (i, weights) in weights.iter().enumerate() {
-            for (row, sums) in rows.iter().zip(&mut sums) {
+        let mut row_sums = [*tile_bias; R];
+        for (i, input_weights) in tile_weights.iter().enumerate() {
+            for (row, sums) in rows.iter().zip(&mut row_sums) {
                 let x = row[i];
-                for (sum, weight) in sums.iter_mut().zip(weights) {
+                for (sum, weight) in sums.iter_mut().zip(input_weights) {
                     *sum += x * weight;
                 }
             }
         }
         let start = tile * TILE_COLUMNS;
-        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(out_columns.stride)) {
-            let out = &mut out[out_columns.start..][..out_columns.width][start..];
+        for (sums, out_row) in row_sums.iter().zip(out.chunks_exact_mut(out_columns.stride)) {
+            let out_tile = &mut out_row[out_columns.start..][..out_columns.width][start..];
             // The last tile is wider than the remaining outputs.
-            if let Some(full_tile) = out.first_chunk_mut() {
+            if let Some(full_tile) = out_tile.first_chunk_mut() {
                 *full_tile = *sums;
             } else {
-                out.copy_from_slice(&sums[..out.len()]);
+                out_tile.copy_from_slice(&sums[..out_tile.len()]);
             }
         }
     }
@@ -190,19 +193,21 @@ fn multiply_rows<const R: usize>(
 /// values of all others.
 #[derive(Clone, Debug)]
 pub(super) struct KeyValueSum {
-    /// Sums by tile of values, `[tiles, d / heads]`.
-    sums: Vec<[f32; TILE_COLUMNS]>,
-    zeros: Vec<[f32; TILE_COLUMNS]>,
+    /// Sums of key · value, by tile of values and by key, `[tiles, d / heads]`.
+    key_value_sums: Vec<[f32; TILE_COLUMNS]>,
+    /// The bias of the product that gathers values, `[tiles]`.
+    zero_bias: Vec<[f32; TILE_COLUMNS]>,
     /// Sums of keys, `[d / heads]`.
     sum_of_keys: Vec<f32>,
 }
 
 impl KeyValueSum {
+    /// Creates the buffers for heads of `width` columns, a multiple of four.
     pub(super) fn new(width: usize) -> Self {
         let tiles = width.div_ceil(TILE_COLUMNS);
         Self {
-            sums: vec![[0.0; TILE_COLUMNS]; tiles * width],
-            zeros: vec![[0.0; TILE_COLUMNS]; tiles],
+            key_value_sums: vec![[0.0; TILE_COLUMNS]; tiles * width],
+            zero_bias: vec![[0.0; TILE_COLUMNS]; tiles],
             sum_of_keys: vec![0.0; width],
         }
     }
@@ -215,9 +220,9 @@ impl KeyValueSum {
         for keys in keys.chunks_exact(head.stride) {
             add(&mut self.sum_of_keys, &keys[head.start..][..head.width]);
         }
-        for (tile, sums) in self.sums.chunks_exact_mut(head.width).enumerate() {
+        for (tile, tile_sums) in self.key_value_sums.chunks_exact_mut(head.width).enumerate() {
             let start = tile * TILE_COLUMNS;
-            for (pass, sums) in sums.as_chunks_mut::<KEYS_PER_PASS>().0.iter_mut().enumerate() {
+            for (pass, sums) in tile_sums.as_chunks_mut::<KEYS_PER_PASS>().0.iter_mut().enumerate() {
                 let mut pass_sums = [[0.0; TILE_COLUMNS]; KEYS_PER_PASS];
                 for (keys, values) in keys.chunks_exact(head.stride).zip(values.chunks_exact(head.stride)) {
                     // The width of a head is a multiple of 4, see `ModelShape::is_valid`.
@@ -237,18 +242,19 @@ impl KeyValueSum {
         }
     }
 
-    /// Computes for each of `queries` the mean of the values, weighted by the products of query and key.
+    /// Computes for each of `queries` the mean of the values, weighted by the products of query and key. Requires
+    /// [`Self::sum_over_devices`] of this TTI, and features above 0.
     #[inline(always)]
     pub(super) fn gather(&self, queries: &[f32], gathered: &mut [f32], head: ColumnSlice) {
-        multiply(&self.sums, &self.zeros, queries, head, gathered, head);
-        for (query, gathered) in queries
+        multiply(&self.key_value_sums, &self.zero_bias, queries, head, gathered, head);
+        for (query, gathered_row) in queries
             .chunks_exact(head.stride)
             .zip(gathered.chunks_exact_mut(head.stride))
         {
             let inverse = 1.0 / dot(&query[head.start..][..head.width], &self.sum_of_keys);
-            for gathered in gathered[head.start..][..head.width].as_chunks_mut::<4>().0 {
-                for gathered in gathered {
-                    *gathered *= inverse;
+            for lanes in gathered_row[head.start..][..head.width].as_chunks_mut::<4>().0 {
+                for mean in lanes {
+                    *mean *= inverse;
                 }
             }
         }
@@ -299,9 +305,11 @@ pub(super) fn weighted_mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(us
     }
 }
 
-/// Offset of a mean square in `rms_norm`, so that its inverse stays finite.
+/// Offset of a mean square in `rms_norm`, so that its inverse stays finite. The training uses it too, so a change needs
+/// new models.
 pub const NORM_EPSILON: f32 = 1e-5;
 
+/// Adds `y` to `x`, element by element.
 #[inline(always)]
 pub(super) fn add(x: &mut [f32], y: &[f32]) {
     for (x, y) in x.iter_mut().zip(y) {
@@ -317,7 +325,7 @@ pub(super) fn relu(x: &mut [f32]) {
     }
 }
 
-/// Returns the sum of `a · b`, in index order within each of four lanes.
+/// Returns the sum of `a · b`, in index order within each of four lanes. Both have the same length, a multiple of four.
 #[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 4];
@@ -352,7 +360,7 @@ pub(super) fn exp(x: f32) -> f32 {
 }
 
 /// Replaces each row of `scores`, of length `width`, by shares that sum to 1. The shares are proportional to the
-/// exponentials of the first `known_count` scores; the others are 0.
+/// exponentials of the first `known_count` scores, at least one; the others are 0.
 #[inline(always)]
 pub(super) fn softmax(scores: &mut [f32], width: usize, known_count: usize) {
     for row in scores.chunks_exact_mut(width) {

@@ -14,9 +14,12 @@ pub use kernel::{NORM_EPSILON, VectorWidth};
 
 /// Largest number of TTIs that a model can look back, including its own.
 pub(crate) const MAX_MEMORY: u64 = 64;
+/// Largest [`ModelShape::width`]. The three limits are also ranges of fields in `../settings.rs`.
 pub(crate) const MAX_WIDTH: u64 = 256;
+/// Largest number of heads.
 pub(crate) const MAX_HEADS: u64 = 16;
-/// Width of the layers between attentions, in widths of the model.
+/// Width of the layers between attentions, in widths of the model. This and the next two constants size tensors, so a
+/// change invalidates all model files.
 pub(crate) const EXPANSION: usize = 2;
 /// Width of the layer that turns a target into a price.
 pub(crate) const PRICE_WIDTH: usize = 16;
@@ -37,7 +40,7 @@ impl ModelObjective {
     /// All objectives.
     pub const ALL: [Self; 2] = [Self::Events, Self::Actions];
 
-    /// Returns the name in files and options.
+    /// Returns the name in model files and in the option `--objective`. Another name invalidates model files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Events => "events",
@@ -63,7 +66,8 @@ pub struct ModelShape {
 }
 
 impl ModelShape {
-    /// Shape of the model that comes with the program, and default of an untrained model.
+    /// Shape of the model that comes with the program (`../shipped.safetensors`), and default of an untrained model.
+    /// The texts of the fields in `../settings.rs` repeat the sizes.
     pub const SHIPPED: Self = Self {
         memory: 8,
         width: 32,
@@ -86,7 +90,9 @@ impl ModelShape {
         self.width / self.heads
     }
 
-    /// Returns the names and sizes of all tensors. The order determines which random numbers initialise which tensor.
+    /// Returns the names and sizes of all tensors. In the names, `time` and `space` are the attention layers, `mix` is
+    /// a feed-forward layer and `head` the output layer, not a head of an attention. The training draws initial values
+    /// by the order, and chooses their distribution by the names.
     pub fn tensors(&self) -> Vec<(&'static str, Vec<usize>)> {
         let (d, wide) = (self.width, EXPANSION * self.width);
         let mut tensors = vec![

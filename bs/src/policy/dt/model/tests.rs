@@ -1,5 +1,6 @@
-//! Tests of [`ForwardPass`] against a second calculation in double precision that keeps no state between TTIs, and of
-//! [`ModelWeights`] with invalid files. Training is tested in the crate `lab`.
+//! Tests of [`ForwardPass`] against a second calculation in double precision that keeps no state between TTIs, of
+//! [`ModelWeights`] with invalid files, and of the metadata of the shipped model. No test reaches the limit of the
+//! price. Training is tested in the crate `lab`, decisions of the policy in `tests/tests/dt.rs`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -106,7 +107,8 @@ impl Reference<'_> {
         embedded.into_iter().map(|x| x.max(0.0)).collect()
     }
 
-    /// Returns the state of device `j` in the last of `ttis`, after it has attended to earlier TTIs.
+    /// Returns the state of device `j` in the last of `ttis` (the tokens of each TTI), after it has attended to earlier
+    /// TTIs.
     fn attend_across_ttis(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
         let ModelShape {
             memory, width, heads, ..
@@ -183,20 +185,23 @@ impl Reference<'_> {
         if self.shape.attends_to_devices {
             states = self.attend_across_devices(&states);
         }
-        let last: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
-        let logs = last
+        let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
+        let raw_outputs = normed
             .iter()
             .flat_map(|state| self.linear(state, "head.weight", Some("head.bias")));
-        let logs = logs.map(|x| f64::from(OUTPUT_LIMIT) * x / (1.0 + x.abs())).collect();
+        let outputs = raw_outputs
+            .map(|x| f64::from(OUTPUT_LIMIT) * x / (1.0 + x.abs()))
+            .collect();
         let mut pooled: Vec<f64> = (0..self.shape.width)
-            .map(|i| last.iter().map(|state| state[i]).sum::<f64>() / n as f64)
+            .map(|i| normed.iter().map(|state| state[i]).sum::<f64>() / n as f64)
             .collect();
         pooled.push(target);
         let mut inner = self.linear(&pooled, "price.in.weight", Some("price.in.bias"));
         for x in &mut inner {
             *x = x.max(0.0);
         }
-        (logs, self.linear(&inner, "price.out.weight", Some("price.out.bias"))[0])
+        let log_price = self.linear(&inner, "price.out.weight", Some("price.out.bias"))[0];
+        (outputs, log_price)
     }
 }
 
@@ -260,18 +265,18 @@ fn a_step_equals_the_reference_model() {
         let mut forward = ForwardPass::new(weights, n);
         let ttis = random_tokens(n, 11);
         for k in 0..ttis.len() {
-            let logs = forward.step(&ttis[k]).to_vec();
-            assert_eq!(logs.len(), n * OUTPUTS);
+            let outputs = forward.step(&ttis[k]).to_vec();
+            assert_eq!(outputs.len(), n * OUTPUTS);
             let log_price = f64::from(forward.log_price(0.7));
             let reference = Reference {
                 tensors: &tensors,
                 shape,
             };
-            let (expected, expected_log_price) = reference.step(&ttis[..=k], n, 0.7);
-            for (log, expected) in logs.iter().zip(&expected) {
+            let (expected_outputs, expected_log_price) = reference.step(&ttis[..=k], n, 0.7);
+            for (output, expected) in outputs.iter().zip(&expected_outputs) {
                 assert!(
-                    (f64::from(*log) - expected).abs() < 1e-4,
-                    "{shape:?}, TTI {k}: output {log}, not {expected}"
+                    (f64::from(*output) - expected).abs() < 1e-4,
+                    "{shape:?}, TTI {k}: output {output}, not {expected}"
                 );
             }
             assert!(
@@ -310,8 +315,8 @@ fn the_order_of_devices_does_not_matter() {
     let (mut forward, mut reversed) = (ForwardPass::new(Arc::clone(&weights), 6), ForwardPass::new(weights, 6));
     for tokens in random_tokens(6, 5) {
         let reversed_tokens: Vec<f32> = tokens.chunks(FEATURE_COUNT).rev().flatten().copied().collect();
-        let logs = forward.step(&tokens).to_vec();
-        for (a, b) in logs
+        let outputs = forward.step(&tokens).to_vec();
+        for (a, b) in outputs
             .chunks(OUTPUTS)
             .rev()
             .flatten()

@@ -2,7 +2,8 @@
 //! dt` (`lab/src/transformer/`).
 //!
 //! A file has the safetensors format: named tensors of 32-bit floats, with a description of the training as metadata.
-//! Raise [`FORMAT_VERSION`] if the meaning of features or tensors changes.
+//! [`ModelShape::tensors`] lists the names and sizes of the tensors; [`ModelWeights`] and `lab/src/transformer/net.rs`
+//! repeat the names. RELEASING.md lists the version of the format.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +14,8 @@ use super::super::tokens::FEATURES;
 use super::kernel::Linear;
 use super::{EXPANSION, MAX_HEADS, MAX_MEMORY, MAX_WIDTH, ModelObjective, ModelShape, PRICE_WIDTH};
 
-/// Version of the file format, raised when the meaning of features or tensors changes.
+/// Version of the file format. Raise it when the meaning of features or tensors changes, and train
+/// `../shipped.safetensors` again: files of other versions are refused.
 pub const FORMAT_VERSION: &str = "1";
 
 /// Only key of the metadata. Its value is a JSON object of strings, sorted by key, so that the contents determine the
@@ -65,7 +67,7 @@ pub enum ModelError {
     NotFinite(String),
 }
 
-/// Feed-forward layer after an attention: `mix` in the names of tensors.
+/// Feed-forward layer after an attention: `mix` in the names of tensors. `norm` is the scale of the norm of its input.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FeedForward {
     pub(super) norm: Vec<f32>,
@@ -73,7 +75,7 @@ pub(crate) struct FeedForward {
     pub(super) outer: Linear,
 }
 
-/// Attention layer: queries, keys and values.
+/// Attention layer: the scale of the norm of its input, queries, keys and values, and the feed-forward layer after it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttentionLayer {
     pub(super) norm: Vec<f32>,
@@ -89,17 +91,20 @@ pub struct AttentionLayer {
 pub struct ModelWeights {
     pub(super) shape: ModelShape,
     pub(super) embed: Linear,
+    /// Attention of a device to its last Z TTIs.
     pub(super) time: AttentionLayer,
     /// Offset of the score of temporal attention by head and lag, `[heads, Z]`.
     pub(super) lag_bias: Vec<f32>,
+    /// Attention of devices to each other, if [`ModelShape::attends_to_devices`].
     pub(super) space: Option<AttentionLayer>,
     pub(super) output_norm: Vec<f32>,
     pub(super) output: Linear,
+    /// The two layers from the mean over devices and the target to the logarithm of the price.
     pub(super) price_inner: Linear,
     pub(super) price_outer: Linear,
     /// Metadata of the file.
     pub metadata: BTreeMap<String, String>,
-    /// SHA-256 of the file; of the metadata for an untrained model.
+    /// SHA-256 of the file; of the metadata for an untrained model. The hash of a scenario covers it.
     pub hash: [u8; 32],
 }
 

@@ -19,8 +19,10 @@ pub(super) struct AgedArea {
     cell_count: f64,
     /// Surface of the area, in sensing discs.
     area_in_discs: f64,
-    /// Learned prices by battery bucket, in the unit of [`Ages::gain`]; infinite where sensing never has an advantage.
+    /// Learned prices by battery bucket, in the unit of [`Ages::gain`]; infinite where sensing never has an advantage,
+    /// and below [`FIRST_ABLE_BUCKET`].
     bucket_prices: [f64; BATTERY_BUCKETS],
+    /// By device, its price in the current pass of the choice; infinite if it may not be chosen.
     prices: Vec<f64>,
     battery_buckets: Vec<u8>,
     /// Whether a TTI has passed.
@@ -71,6 +73,7 @@ impl AreaState for AgedArea {
         self.ages.add(j);
     }
 
+    /// Chooses with the prices of [`AreaState::set_advantages`]. Devices of [`AreaState::add`] must not be free.
     fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen: Vec<DeviceId> = Vec::new();
         for min_bucket in PASS_MIN_BUCKETS {
@@ -95,12 +98,12 @@ impl AreaState for AgedArea {
     fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain> {
         // In the order of choice: each device gains only the places that no earlier one covers.
         self.ages.clear();
-        let mut gain = |device: &DeviceId| {
-            let gain = self.gain(device.index());
+        let gain_then_add = |device: &DeviceId| {
+            let newly_covered = self.gain(device.index());
             self.ages.add(device.index());
-            gain
+            newly_covered
         };
-        chosen.iter().map(&mut gain).collect()
+        chosen.iter().map(gain_then_add).collect()
     }
 
     fn gain(&self, j: usize) -> Gain {

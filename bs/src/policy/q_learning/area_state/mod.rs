@@ -15,7 +15,7 @@ use self::window::WindowedArea;
 use super::learned::Lookback;
 
 /// Creates the state for devices at `positions` of `area`. `loss_probability` is the probability that no report arrives
-/// from a device that has detected an event.
+/// from a device that has detected an event; only ages depend on it.
 pub(super) fn new(
     lookback: Lookback,
     loss_probability: f64,

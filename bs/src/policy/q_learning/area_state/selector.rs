@@ -8,7 +8,7 @@ use super::traits::{Gain, PASS_MIN_BUCKETS};
 use crate::beliefs::coverage::{CellPosition, Coverage};
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, area_bucket};
 
-/// Low bits of a key that hold the device id, enough for `MAX_DEVICES`.
+/// Low bits of a key that hold the inverted device id, enough for `MAX_DEVICES`.
 const ID_BITS: u32 = 24;
 const MAX_ID: u32 = (1 << ID_BITS) - 1;
 
@@ -27,7 +27,7 @@ pub(super) struct SequentialSelector {
     /// Surface of the area, in sensing discs.
     area_in_discs: f64,
     /// By battery and area bucket, whether sensing is worth more than sleep.
-    is_worth_it: [[bool; AREA_BUCKETS]; BATTERY_BUCKETS],
+    has_advantage: [[bool; AREA_BUCKETS]; BATTERY_BUCKETS],
     /// Area bucket by number of newly covered units.
     bucket_by_units: Vec<u8>,
     /// By device, the units that it covers if no other device senses.
@@ -40,26 +40,27 @@ pub(super) struct SequentialSelector {
 }
 
 impl SequentialSelector {
-    /// Creates a selector for the devices of `coverage`, none added yet, on an area of `area_in_discs` sensing discs.
-    pub(super) fn new(coverage: Coverage, area_in_discs: f64, devices: usize) -> Self {
-        let own_units: Vec<u32> = (0..devices).map(|j| coverage.gain_in_units(j)).collect();
+    /// Creates a selector for the `device_count` devices of `coverage`, none added yet, on an area of `area_in_discs`
+    /// sensing discs.
+    pub(super) fn new(coverage: Coverage, area_in_discs: f64, device_count: usize) -> Self {
+        let own_units: Vec<u32> = (0..device_count).map(|j| coverage.gain_in_units(j)).collect();
         let (max_units, total_units) = (own_units.iter().copied().max().unwrap_or(0), coverage.total_units());
         Self {
             area_in_discs,
-            is_worth_it: [[false; AREA_BUCKETS]; BATTERY_BUCKETS],
+            has_advantage: [[false; AREA_BUCKETS]; BATTERY_BUCKETS],
             bucket_by_units: (0..=max_units)
                 .map(|units| area_bucket(f64::from(units) / total_units * area_in_discs) as u8)
                 .collect(),
             own_units,
-            battery_buckets: vec![0; devices],
-            key_bounds: vec![0; devices],
-            block_devices: Vec::with_capacity(devices),
+            battery_buckets: vec![0; device_count],
+            key_bounds: vec![0; device_count],
+            block_devices: Vec::with_capacity(device_count),
             coverage,
         }
     }
 
     pub(super) fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]) {
-        self.is_worth_it = advantages.map(|row| row.map(|advantage| advantage > 0.0));
+        self.has_advantage = advantages.map(|row| row.map(|advantage| advantage > 0.0));
     }
 
     /// Begins a TTI with these battery buckets, in which only the devices in `covering` cover places.
@@ -68,6 +69,7 @@ impl SequentialSelector {
         self.set_covering(covering);
     }
 
+    /// Makes the devices in `covering` the only ones that cover places.
     pub(super) fn set_covering(&mut self, covering: impl Iterator<Item = DeviceId>) {
         self.coverage.clear();
         for device in covering {
@@ -106,7 +108,7 @@ impl SequentialSelector {
         chosen
     }
 
-    /// Adds devices to `chosen` until no candidate is left for any uncovered cell.
+    /// Adds devices to `chosen` until no candidate is left for any uncovered cell. Requires current `key_bounds`.
     fn cover_cells(&mut self, chosen: &mut Vec<DeviceId>) {
         for block in 0..self.coverage.block_count() {
             if !self.coverage.has_uncovered(block) {
@@ -158,6 +160,7 @@ impl SequentialSelector {
         (best_key > 0).then_some(best)
     }
 
+    /// Computes the key of device `j` and makes it its bound.
     fn update_key(&mut self, j: u32) -> u64 {
         let key = self.key(j as usize, self.coverage.gain_in_units(j as usize));
         self.key_bounds[j as usize] = key;
@@ -174,9 +177,9 @@ impl SequentialSelector {
         loop {
             let loss = |j: DeviceId| self.coverage.loss_in_units(j.index());
             let is_superfluous = |j: DeviceId, units: u32| self.key(j.index(), units) == 0;
-            let superfluous_loss = |(turn, &j): (usize, &DeviceId)| {
+            let superfluous_loss = |(index, &j): (usize, &DeviceId)| {
                 let units = loss(j).filter(|&units| is_superfluous(j, units))?;
-                Some((units, turn))
+                Some((units, index))
             };
             // `min_by_key` takes the first of equals, which in reverse order is the device chosen last.
             let least_useful = chosen
@@ -185,8 +188,8 @@ impl SequentialSelector {
                 .rev()
                 .filter_map(superfluous_loss)
                 .min_by_key(|(units, _)| *units);
-            let Some((_, turn)) = least_useful else { return };
-            chosen.remove(turn);
+            let Some((_, index)) = least_useful else { return };
+            chosen.remove(index);
             // Without that device others cover more places alone, so all losses are recomputed.
             self.set_covering(covering().chain(chosen.iter().copied()));
         }
@@ -198,7 +201,8 @@ impl SequentialSelector {
     #[inline]
     fn key(&self, j: usize, units: u32) -> u64 {
         let battery = self.battery_buckets[j];
-        let is_worth_it = self.is_worth_it[usize::from(battery)][usize::from(self.bucket_by_units[units as usize])];
+        let area = self.bucket_by_units[units as usize];
+        let is_worth_it = self.has_advantage[usize::from(battery)][usize::from(area)];
         if battery < FIRST_ABLE_BUCKET || !is_worth_it || units == 0 {
             return 0;
         }

@@ -8,15 +8,16 @@ use reveille_common::sensing::Sensing;
 
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET};
 
-/// Least battery bucket of each pass of the choice: first at least half charged, then all able devices.
-/// `tests/src/reference/q_learning.rs` repeats it.
+/// Least battery bucket of each pass of the choice: first at least half charged, then all able devices. The 5 follows
+/// from [`BATTERY_BUCKETS`]. `tests/src/reference/q_learning.rs` repeats both.
 pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 
 /// State of the area and of the devices, carried from TTI to TTI.
 ///
 /// Calls in each TTI: [`AreaState::begin_tti`], optionally [`AreaState::add`], then [`AreaState::choose_devices`].
 /// While learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered_gain`] and [`AreaState::credits`]
-/// follow, in this order. [`AreaState::end_tti`] comes last.
+/// follow, in this order. [`AreaState::end_tti`] comes last; [`AreaState::record_event`] and [`AreaState::prior`] refer
+/// to the ended TTI. After the choice, `chosen` includes the devices of [`AreaState::add`].
 pub(crate) trait AreaState: Send {
     /// Sets the advantages of sensing, by battery and area bucket (`DutyTable::advantages`).
     fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]);
@@ -24,10 +25,11 @@ pub(crate) trait AreaState: Send {
     /// Begins a TTI with the battery bucket of each device and no chosen device.
     fn begin_tti(&mut self, battery_buckets: &[u8]);
 
-    /// Adds device `j` to the chosen devices.
+    /// Adds device `j`, which is not free, to the chosen devices.
     fn add(&mut self, j: usize);
 
-    /// Chooses further devices to sense, among the devices j with `is_free(j)`. Returns them in the order of choice.
+    /// Chooses further devices to sense, among the devices j with `is_free(j)`. Returns only these, in the order of
+    /// choice.
     fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId>;
 
     /// Returns the gain of each device in `chosen`, in this order. Afterwards exactly these devices are chosen.
@@ -62,7 +64,7 @@ pub(crate) trait AreaState: Send {
 pub(crate) struct Gain {
     /// Share of the area; with ages, times the worth of its places.
     pub share: f64,
-    /// Bucket of the share.
+    /// Bucket of the share, by `Lookback::bucket`.
     pub bucket: u8,
 }
 

@@ -1,5 +1,5 @@
-//! Area state for covering the area once within a window, `policy.q-learning.window`. Digests depend on the choice; the
-//! training learns from gains and credits.
+//! Area state for covering the area once within a window, `policy.q-learning.window`. Digests depend on the choice,
+//! which `tests/src/reference/q_learning.rs` repeats; the training learns from gains and credits.
 
 use std::collections::VecDeque;
 
@@ -22,7 +22,7 @@ pub(super) struct WindowedArea {
     recent_sensing: VecDeque<Vec<DeviceId>>,
     /// Devices of [`AreaState::add`] in this TTI.
     added: Vec<DeviceId>,
-    /// Number of TTIs over which the choice must still be spread.
+    /// Number of TTIs over which the choice must still be spread, from `window` down to 0.
     spread_ttis: usize,
 }
 
@@ -71,12 +71,12 @@ impl AreaState for WindowedArea {
     fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain> {
         self.selector
             .set_covering(self.recent_sensing.iter().flatten().copied());
-        let mut gain = |device: &DeviceId| {
-            let gain = self.selector.gain(device.index());
+        let gain_then_add = |device: &DeviceId| {
+            let newly_covered = self.selector.gain(device.index());
             self.selector.add(device.index());
-            gain
+            newly_covered
         };
-        chosen.iter().map(&mut gain).collect()
+        chosen.iter().map(gain_then_add).collect()
     }
 
     fn gain(&self, j: usize) -> Gain {
@@ -87,7 +87,8 @@ impl AreaState for WindowedArea {
         self.selector.uncovered()
     }
 
-    /// Credits each place to the device that covered it first in the window, of which `chosen` is the last TTI.
+    /// Credits each place to the device that covered it first in the window, of which `chosen` is the last TTI. Changes
+    /// the covering devices, so no gain can be read until the next TTI.
     fn credits(&mut self, chosen: &[DeviceId], _gains: &[Gain]) -> Vec<f64> {
         let mut credits = vec![0.0; self.device_count];
         self.selector.set_covering(std::iter::empty());

@@ -2,7 +2,8 @@
 //!
 //! The policy decides with [`DutyLearner::choose`]; a run that learns calls [`DutyLearner::explore`] and, one TTI
 //! later, [`DutyLearner::learn`]. The shares of the reward follow the documentation of the parent module and must add
-//! up to r(k). Exploration draws device by device, in the order of ids; learned tables depend on this order.
+//! up to r(k). Exploration draws device by device, in the order of ids; learned tables depend on this order, digests on
+//! the choice. All levels are of all devices, in the order of ids.
 
 use super::area_state;
 use super::area_state::{AreaState, Gain};
@@ -34,8 +35,8 @@ pub struct DutyParameters {
 /// The duty cycling of a deployment.
 pub struct DutyLearner {
     table: DutyTable,
-    /// V of the table, made monotone.
-    values: [f64; VALUE_NODES],
+    /// V of the table, made monotone: [`DutyTable::values`].
+    monotone_values: [f64; VALUE_NODES],
     parameters: DutyParameters,
     rates: LearningRates,
     /// Contribution to N r(k) of a device that alone covers the whole area, until the area must be covered again.
@@ -61,9 +62,9 @@ struct DutyDecision {
 /// State in which a device decided, and its action.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeviceDecision {
-    battery: u8,
+    battery_bucket: u8,
     /// Bucket of the newly covered area.
-    area: u8,
+    area_bucket: u8,
     is_sensing: bool,
     /// Newly covered part, actual or hypothetical, in the unit of [`DutyDecision::coverable`].
     gain: f64,
@@ -88,7 +89,7 @@ impl DutyLearner {
             loss_probability,
         } = parameters;
         let mut duty = Self {
-            values: [0.0; VALUE_NODES],
+            monotone_values: [0.0; VALUE_NODES],
             table,
             coverage_worth: weights.covering_worth(positions.len() as u32, alpha, lookback.window()),
             rates: schedule.rates(),
@@ -118,13 +119,13 @@ impl DutyLearner {
     /// Chooses as [`Self::choose`], but at random with probability `epsilon` per device, for [`Self::learn`].
     pub fn explore(&mut self, levels: &[Energy], epsilon: f64, stream: &mut Stream) -> Vec<DeviceId> {
         self.begin(levels);
-        let undecided = |(&level, &battery): (&Energy, &u8)| DeviceDecision {
-            battery,
+        let undecided = |(&level, &battery_bucket): (&Energy, &u8)| DeviceDecision {
+            battery_bucket,
             level,
             ..DeviceDecision::default()
         };
         let mut by_device: Vec<DeviceDecision> = levels.iter().zip(&self.battery_buckets).map(undecided).collect();
-        let is_able = |&battery: &u8| battery >= FIRST_ABLE_BUCKET;
+        let is_able = |&bucket: &u8| bucket >= FIRST_ABLE_BUCKET;
         let mut is_free: Vec<bool> = self.battery_buckets.iter().map(is_able).collect();
         let mut chosen = Vec::new();
         // Random decisions come first, so that the choice among the others accounts for the coverage by these devices.
@@ -142,14 +143,14 @@ impl DutyLearner {
         // A chosen device decided given the devices chosen before it; the others decided given all chosen devices.
         let gains = self.area_state.gains(&chosen);
         for (device, &gain) in chosen.iter().zip(&gains) {
-            by_device[device.index()].decide(true, gain);
+            by_device[device.index()].record(true, gain);
         }
         for (j, decision) in by_device
             .iter_mut()
             .enumerate()
             .filter(|(_, decision)| !decision.is_sensing)
         {
-            decision.decide(false, self.area_state.gain(j));
+            decision.record(false, self.area_state.gain(j));
         }
         self.last_decision = Some(DutyDecision {
             by_device,
@@ -160,7 +161,8 @@ impl DutyLearner {
         self.end_tti(chosen)
     }
 
-    /// Learns from the last exploration; `levels` are the batteries after it.
+    /// Learns from the last exploration, once; `levels` are the batteries after it. Call it before the next
+    /// exploration.
     pub fn learn(&mut self, levels: &[Energy]) {
         let Some(DutyDecision { by_device, .. }) = self.last_decision.take() else {
             return;
@@ -168,8 +170,8 @@ impl DutyLearner {
         let zeta = self.parameters.weights.zeta;
         for ((decision, &level_after), energy) in by_device.iter().zip(levels).zip(&self.energies) {
             let DeviceDecision {
-                battery,
-                area,
+                battery_bucket,
+                area_bucket,
                 is_sensing,
                 ..
             } = *decision;
@@ -180,8 +182,8 @@ impl DutyLearner {
                 1.0
             };
             let [value_before, value_after] =
-                [decision.level, level_after].map(|level| value_at(&self.values, level, energy));
-            let (battery, area) = (usize::from(battery), usize::from(area));
+                [decision.level, level_after].map(|level| value_at(&self.monotone_values, level, energy));
+            let (battery, area) = (usize::from(battery_bucket), usize::from(area_bucket));
             let outcome = reward + zeta * value_after;
             let outcome_cell = self.table.outcome_mut(battery, area, is_sensing);
             outcome_cell.learn(outcome, self.rates);
@@ -200,12 +202,14 @@ impl DutyLearner {
         self.update_derived();
     }
 
+    /// Updates the state that depends on the table: the advantages and the monotone values.
     fn update_derived(&mut self) {
         self.area_state.set_advantages(&self.table.advantages());
-        self.values = self.table.values();
+        self.monotone_values = self.table.values();
     }
 
-    /// Returns r(k) of the last exploration and the devices' shares of it, which add up to it.
+    /// Returns r(k) of the last exploration and the devices' shares of it, which add up to it; `None` after
+    /// [`Self::learn`].
     pub fn rewards(&self) -> Option<(f64, impl Iterator<Item = f64> + '_)> {
         let DutyDecision {
             by_device,
@@ -217,8 +221,8 @@ impl DutyLearner {
         let sensing = by_device.iter().filter(|decision| decision.is_sensing).count() as f64;
         let weight = self.parameters.alpha * self.parameters.weights.mu1;
         let share_of_reward = move |(decision, credit): (&DeviceDecision, &f64)| {
-            let asleep = if decision.is_sensing { 0.0 } else { 1.0 / n };
-            asleep + weight * (credit - coverable / n)
+            let sleep_share = if decision.is_sensing { 0.0 } else { 1.0 / n };
+            sleep_share + weight * (credit - coverable / n)
         };
         Some((
             1.0 - sensing / n - weight * uncovered,
@@ -253,8 +257,8 @@ impl DutyLearner {
 
 impl DeviceDecision {
     /// Records the decision of the device and the part that it would newly cover.
-    fn decide(&mut self, is_sensing: bool, gain: Gain) {
-        (self.is_sensing, self.gain, self.area) = (is_sensing, gain.share, gain.bucket);
+    fn record(&mut self, is_sensing: bool, gain: Gain) {
+        (self.is_sensing, self.gain, self.area_bucket) = (is_sensing, gain.share, gain.bucket);
     }
 }
 
@@ -266,6 +270,7 @@ fn locate_node(level: Energy, energy: &EnergyModel) -> (usize, f64) {
     (node, (nodes - node as f64).min(1.0))
 }
 
+/// Returns V at `level`, interpolated between nodes.
 fn value_at(values: &[f64; VALUE_NODES], level: Energy, energy: &EnergyModel) -> f64 {
     let (node, part) = locate_node(level, energy);
     values[node] + part * (values[node + 1] - values[node])

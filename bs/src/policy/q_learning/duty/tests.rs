@@ -1,5 +1,6 @@
 //! Tests of [`DutyLearner`]: its rewards and their shares against Sec. V-B, computed cell by cell, and exploration
-//! without randomness against the choice of a policy that does not learn.
+//! without randomness against the choice of a policy that does not learn. The choice itself is checked in
+//! `tests/tests/q_learning.rs`, learned values in `lab/src/training/tests/`. No test here loses reports.
 
 use std::collections::VecDeque;
 
@@ -43,7 +44,7 @@ fn energy() -> EnergyModel {
 struct UncoveredCells {
     kind: DetectionKind,
     sensing: Sensing,
-    /// South-west corner and size of each cell.
+    /// South-west corner, width and height of each cell.
     cells: Vec<[f64; 4]>,
     positions: Vec<Point>,
 }
@@ -51,6 +52,7 @@ struct UncoveredCells {
 impl UncoveredCells {
     fn new(area: Area, kind: DetectionKind, positions: &[Point]) -> Self {
         let sensing = sensing_of(kind);
+        // As `beliefs/coverage/`: other cells cover other shares.
         let cells_per_range = match kind {
             DetectionKind::Range => 15.0,
             DetectionKind::Probabilistic => 10.0,
@@ -197,7 +199,7 @@ fn the_shares_add_up_to_the_reward_of_the_paper_in_every_tti() {
         let mut learner = case.learner(random_table(&mut stream), weights, alpha);
         let cells = UncoveredCells::new(case.area, case.kind, &case.positions());
         let mut plans: Vec<Vec<usize>> = Vec::new();
-        let mut gains: VecDeque<Vec<f64>> = VecDeque::new();
+        let mut window_promises: VecDeque<Vec<f64>> = VecDeque::new();
         for k in 0..30 {
             let levels = random_levels(n, &mut stream);
             let plan = learner.explore(
@@ -239,12 +241,12 @@ fn the_shares_add_up_to_the_reward_of_the_paper_in_every_tti() {
             // it.
             let decision = learner.last_decision.as_ref().expect("an exploration");
             let promise = |device: &DeviceDecision| if device.is_sensing { device.gain } else { 0.0 };
-            gains.push_back(decision.by_device.iter().map(promise).collect());
-            if gains.len() > case.window as usize {
-                gains.pop_front();
+            window_promises.push_back(decision.by_device.iter().map(promise).collect());
+            if window_promises.len() > case.window as usize {
+                window_promises.pop_front();
             }
             for (j, credit) in decision.credits.iter().enumerate() {
-                let promised: f64 = gains.iter().map(|gains_then| gains_then[j]).sum();
+                let promised: f64 = window_promises.iter().map(|promises| promises[j]).sum();
                 assert!(
                     *credit > promised - rounding,
                     "{context}: device {j} has credit {credit}, promised {promised}"
@@ -262,15 +264,16 @@ fn the_shares_add_up_to_the_reward_of_the_paper_in_every_tti() {
             assert!(learner.rewards().is_none(), "rewards are learned once");
         }
     }
+    // Guards against an empty comparison; the bounds have no other meaning.
     assert!(
         sensing_count > 1000 && repeated_count > 300 && exceeded_count > 300,
         "too few cases: {sensing_count} devices in S1, {repeated_count} windows, {exceeded_count} larger credits"
     );
 }
 
-/// Cells along d_max.
+/// Cells along d_max, as in `beliefs/ages/`.
 const CELLS_PER_RANGE: f64 = 7.5;
-/// Age from which on the worth is constant, TTIs.
+/// Age from which on the worth is constant, TTIs, as in `beliefs/ages/`. The greatest age is not reached in 30 TTIs.
 const CONSTANT_WORTH_AGE: f64 = 22.0;
 
 /// Places of an area and their ages, computed from docs/age-index.md alone. The places are the middles of cells.
@@ -330,12 +333,12 @@ impl PlaceAges {
 
     fn advance(&mut self, sensing_devices: &[DeviceId], is_event_reported: bool) {
         for place in 0..self.middles.len() {
-            let old = if is_event_reported {
+            let unseen_age = if is_event_reported {
                 0.0
             } else {
                 self.ages[place] * self.miss_probability(place, sensing_devices)
             };
-            self.ages[place] = old + 1.0;
+            self.ages[place] = unseen_age + 1.0;
         }
     }
 }
@@ -399,11 +402,17 @@ fn without_randomness_exploration_equals_the_choice() {
         let weights = weights_with(10.0);
         let table = random_table(&mut stream);
         for lookback in [Lookback::Window(case.window), Lookback::Ages] {
-            let [mut fixed, mut learner] = [(); 2].map(|()| case.learner_with(lookback, table.clone(), weights, 0.2));
+            let [mut chooser, mut explorer] =
+                [(); 2].map(|()| case.learner_with(lookback, table.clone(), weights, 0.2));
             for k in 0..6 {
                 let levels = random_levels(case.devices as usize, &mut stream);
-                let explored = learner.explore(&levels, 0.0, &mut Stream::new(case.seed, Purpose::Exploration, k));
-                assert_eq!(fixed.choose(&levels), explored, "{:?}, {lookback}, TTI {k}", case.kind);
+                let explored = explorer.explore(&levels, 0.0, &mut Stream::new(case.seed, Purpose::Exploration, k));
+                assert_eq!(
+                    chooser.choose(&levels),
+                    explored,
+                    "{:?}, {lookback}, TTI {k}",
+                    case.kind
+                );
             }
         }
     }

@@ -1,6 +1,7 @@
 //! File of learned tables, written by `reveille train q-learning`: JSON with a format header and a checksum over its
 //! body. Values are rounded on writing and on reading, so that both sides hold the same bits. Raise [`VERSION`] when
-//! the fields or the meaning of the buckets ([`super::tables`]) change, and train the shipped tables again.
+//! the fields or the meaning of the buckets ([`super::tables`]) change, and train the shipped tables again
+//! (docs/q-learning.md). RELEASING.md lists the version.
 
 use std::fmt::Write as _;
 use std::io;
@@ -47,8 +48,8 @@ fn read_training_site(text: &str) -> TrainingSite {
     }
     let body = text.split_once(BODY_START).map_or("", |(_, body)| body);
     let front = body.split_once(ENTRIES_START).map_or("", |(front, _)| front);
-    let front: SettingRepr = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
-    front.setting
+    let repr: SettingRepr = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
+    repr.setting
 }
 
 /// Reason why learned tables cannot be used.
@@ -99,7 +100,8 @@ const BODY_START: &str = ",\"body\":";
 /// Text at which the entries, the last field of the body, begin.
 const ENTRIES_START: &str = ",\"entries\":[";
 
-/// The body of a file: [`LearnedTables`], whose site is called `setting` there.
+/// The body of a file: [`LearnedTables`], whose site is called `setting` there. `entries` must stay the last field, and
+/// `devices` the first of a [`TableSet`]: the text is split there ([`ENTRIES_START`], [`LearnedTables::to_json`]).
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FileBody {
@@ -158,17 +160,18 @@ impl LearnedTables {
         if !text.starts_with('{') || !text.contains(FORMAT) {
             return Err(foreign());
         }
-        let (head, body) = text.split_once(BODY_START).unwrap_or((text.trim_end(), ""));
-        let head: FileHeader = serde_json::from_str(&format!("{}}}", head.trim_end_matches('}'))).map_err(damaged)?;
-        if head.format != FORMAT {
+        let (head_text, body) = text.split_once(BODY_START).unwrap_or((text.trim_end(), ""));
+        let head_json = format!("{}}}", head_text.trim_end_matches('}'));
+        let header: FileHeader = serde_json::from_str(&head_json).map_err(damaged)?;
+        if header.format != FORMAT {
             return Err(foreign());
         }
-        if head.version != u64::from(VERSION) {
-            return Err(LearnedError::Version(head.version));
+        if header.version != u64::from(VERSION) {
+            return Err(LearnedError::Version(header.version));
         }
         let body = body.trim_end().strip_suffix('}').unwrap_or(body);
         // Checked before parsing, since a damaged body can still be valid JSON.
-        if sha256(body) != head.sha256 {
+        if sha256(body) != header.sha256 {
             return Err(LearnedError::Damaged(
                 "its checksum does not match its content".to_owned(),
             ));
@@ -520,12 +523,13 @@ mod tests {
         for (_, text) in SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES_SUFFIX)) {
             for entry in parse_shipped(text).entries {
                 let advantages = entry.duty.advantages();
-                // The least gain at which a device senses, for each battery level that pays for a report.
+                // The least gain at which a device senses, for each battery bucket that pays for a report.
                 let able_buckets = advantages.iter().skip(usize::from(FIRST_ABLE_BUCKET));
                 let min_gains: Vec<Option<f64>> = able_buckets.map(|row| Lookback::Ages.advantage_start(row)).collect();
                 // A device in a corner covers a quarter of a disc, here with places of the largest worth.
                 let is_reachable = |min_gain: &&f64| **min_gain < 0.25 * Lookback::Ages.max_gain();
                 let reachable_count = min_gains.iter().flatten().filter(is_reachable).count();
+                // At least half of the six buckets.
                 assert!(reachable_count >= 3, "N = {}: least gains {min_gains:?}", entry.devices);
             }
         }
@@ -548,10 +552,10 @@ mod tests {
                 assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
             for lookback in tables.lookbacks() {
-                let (least, most) = tables.served_devices(lookback, PRESET_SURFACE);
+                let (fewest, most) = tables.served_devices(lookback, PRESET_SURFACE);
                 assert!(
-                    least == 5 && most >= 500,
-                    "{name}, {lookback}: {least} to {most} devices"
+                    fewest == 5 && most >= 500,
+                    "{name}, {lookback}: {fewest} to {most} devices"
                 );
             }
             let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES_SUFFIX);

@@ -13,7 +13,8 @@ use crate::beliefs::ages;
 /// Longest window for covering the area once, TTIs.
 pub const MAX_WINDOW: u32 = 1000;
 
-/// Duration for which a covered place counts as covered.
+/// Duration for which a covered place counts as covered. Entries of a file are sorted by it: the variants stay in this
+/// order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "LookbackRepr", into = "LookbackRepr")]
 pub enum Lookback {
@@ -53,7 +54,7 @@ impl From<Lookback> for LookbackRepr {
     }
 }
 
-/// Parses `ages`, or a window as a number of TTIs.
+/// Parses `ages`, or a window as a number of TTIs, from a file or the option `--windows`. [`Display`] writes the same.
 impl FromStr for Lookback {
     type Err = String;
 
@@ -71,7 +72,7 @@ impl FromStr for Lookback {
 }
 
 impl Lookback {
-    /// Returns a phrase: "a window of 4 TTIs".
+    /// Returns a phrase for messages and descriptions of tables: "a window of 4 TTIs", or "ages".
     pub fn describe(self) -> String {
         match self {
             Self::Window(window) => format!("a window of {window} TTIs"),
@@ -83,19 +84,20 @@ impl Lookback {
     /// ages the sum of the worths of its places, as a share of a sensing disc of places of age 1.
     pub fn bucket(self, share: f64) -> usize {
         (0..AREA_BUCKETS - 1)
-            .take_while(|&bucket| share >= self.edge(bucket))
+            .take_while(|&bucket| share >= self.bucket_end(bucket))
             .count()
     }
 
-    /// Returns the end of the `bucket`-th of these buckets.
-    pub fn edge(self, bucket: usize) -> f64 {
+    /// Returns the end of the `bucket`-th bucket of [`Self::bucket`], in the same unit.
+    pub fn bucket_end(self, bucket: usize) -> f64 {
         match self {
             Self::Window(_) => area_end(bucket),
             Self::Ages => worth_end(bucket),
         }
     }
 
-    /// Returns the most that a device can cover, in that unit, if it detects every event within d_max.
+    /// Returns the most that a device can cover, in the unit of [`Self::bucket`], if it detects every event within
+    /// d_max.
     pub const fn max_gain(self) -> f64 {
         match self {
             Self::Window(_) => 1.0,
@@ -103,13 +105,14 @@ impl Lookback {
         }
     }
 
-    /// Returns where the first bucket with an advantage of sensing starts, from the advantages of one battery bucket.
+    /// Returns the start of the first bucket with an advantage of sensing, in the unit of [`Self::bucket`], from the
+    /// advantages of one battery bucket; `None` without an advantage.
     pub fn advantage_start(self, advantages: &[f64; AREA_BUCKETS]) -> Option<f64> {
         let first = advantages.iter().position(|&advantage| advantage > 0.0)?;
-        Some(first.checked_sub(1).map_or(0.0, |previous| self.edge(previous)))
+        Some(first.checked_sub(1).map_or(0.0, |previous| self.bucket_end(previous)))
     }
 
-    /// Returns the label in a table: "window 4".
+    /// Returns the label in a table or figure: "window 4", or "ages".
     pub fn label(self) -> String {
         match self {
             Self::Window(window) => format!("window {window}"),

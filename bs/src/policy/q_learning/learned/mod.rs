@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use reveille_common::scenario::Site;
 
-/// Largest allowed ratio between the density of devices and the density of the nearest entry.
+/// Largest allowed ratio between the density of devices and the density of the nearest entry, in both directions.
 const MAX_DENSITY_RATIO: f64 = 2.0;
 
 /// Weights for which tables are learned.
@@ -50,7 +50,8 @@ impl QWeights {
     }
 }
 
-/// Site on which tables were learned: the scenario fields that change the worth of actions. Energies are in units.
+/// Site on which tables were learned: the scenario fields that change the worth of actions. Energies are in units. A
+/// new field of this kind changes the file of tables, and the shipped tables then differ from every site.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSite {
@@ -72,11 +73,11 @@ impl TrainingSite {
             number("sensing.eta", sensing.eta),
             number("sensing.psi", sensing.psi),
         ];
-        let is_lone = site.classes.len() == 1;
+        let has_one_class = site.classes.len() == 1;
         for class in &site.classes {
             let energy = &class.energy;
             let class_number = |name: &str, value: f64| {
-                if is_lone {
+                if has_one_class {
                     number(name, value)
                 } else {
                     (format!("class.{}.{name}", class.name), value)
@@ -89,7 +90,7 @@ impl TrainingSite {
                 class_number("energy.e_tx", energy.e_tx.units()),
                 class_number("mean harvest", class.mean_harvest.units()),
             ]);
-            if !is_lone {
+            if !has_one_class {
                 numbers.push(class_number("share", class.share));
             }
         }
@@ -106,27 +107,27 @@ impl TrainingSite {
 
     /// Describes each difference from `here` in a phrase: "events.alpha 0.2, here 0.3".
     pub fn differences(&self, here: &Self) -> Vec<String> {
-        let words = differences(&self.words, &here.words, |trained, here| trained == here);
+        let words = describe_differences(&self.words, &here.words, |trained, here| trained == here);
         let is_close = |trained: &f64, here: &f64| (trained - here).abs() <= 1e-6 * trained.abs().max(here.abs());
         words
             .into_iter()
-            .chain(differences(&self.numbers, &here.numbers, is_close))
+            .chain(describe_differences(&self.numbers, &here.numbers, is_close))
             .collect()
     }
 }
 
 /// Describes each field that differs between the sites of the training and of the run in a phrase.
-fn differences<T: Display>(
+fn describe_differences<T: Display>(
     trained: &[(String, T)],
     here: &[(String, T)],
     is_same: impl Fn(&T, &T) -> bool,
 ) -> Vec<String> {
-    let index_in = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(other, _)| other == name);
+    let index_in = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(field, _)| field == name);
     let mut phrases = Vec::new();
     for (name, value) in trained {
         match index_in(here, name).map(|index| &here[index].1) {
-            Some(other) if is_same(value, other) => {}
-            Some(other) => phrases.push(format!("{name} {value}, here {other}")),
+            Some(value_here) if is_same(value, value_here) => {}
+            Some(value_here) => phrases.push(format!("{name} {value}, here {value_here}")),
             None => phrases.push(format!("{name} {value}, not known here")),
         }
     }
@@ -167,7 +168,7 @@ pub struct TableSet {
     pub wake_p42: WakeTable,
     /// Table of the wake-ups, for candidates ranked by the belief over the epicentre.
     pub wake_posterior: WakeTable,
-    /// Learning curve of the training.
+    /// Learning curve of the training, with a point for each finished episode or learning run.
     pub curve: Vec<CurvePoint>,
 }
 
@@ -182,7 +183,9 @@ impl TableSet {
             devices,
             surface,
             lookback,
-            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| disc_worth * lookback.edge(area)),
+            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |bucket| {
+                disc_worth * lookback.bucket_end(bucket)
+            }),
             wake_p42: WakeTable::optimistic(optimism),
             wake_posterior: WakeTable::optimistic(optimism),
             curve: Vec::new(),
@@ -214,7 +217,7 @@ pub struct QTrainingConfig {
 pub struct LearnedTables {
     /// Version of Reveille that learned the tables.
     pub made_by: String,
-    /// SHA-256 of the training's scenario at its first N, hexadecimal.
+    /// SHA-256 of the training's scenario at its first N, hexadecimal; `scenario` in the file.
     pub scenario: String,
     /// Weights for which the tables were learned.
     pub weights: QWeights,
@@ -252,7 +255,7 @@ impl LearnedTables {
         self.entries.iter().any(is_short)
     }
 
-    /// Returns the lookbacks with tables, sorted by window, ages last.
+    /// Returns the lookbacks with tables, sorted by window, ages last, as the entries are.
     pub fn lookbacks(&self) -> Vec<Lookback> {
         let mut lookbacks: Vec<Lookback> = self.entries.iter().map(|entry| entry.lookback).collect();
         lookbacks.dedup();
@@ -286,7 +289,8 @@ impl LearnedTables {
         (log_distance(nearest) <= libm::log(MAX_DENSITY_RATIO) + 1e-9).then_some(nearest)
     }
 
-    /// Returns the least and the largest N on `surface` m² that the entries for `lookback` serve.
+    /// Returns the least and the largest N on `surface` m² that the entries for `lookback` serve; (1, 0) without an
+    /// entry.
     pub fn served_devices(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
         let devices_of = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::device_density) * surface;
         let (fewest, most) = (

@@ -33,7 +33,7 @@ const MIN_AREA: f64 = 0.0002;
 /// End of the first bucket of areas that count, and ratio between successive ends after it.
 const FIRST_AREA_END: f64 = 0.005;
 const AREA_RATIO: f64 = 1.45;
-/// Bucket that ends at the whole disc.
+/// Bucket that ends at the whole disc, or with ages at the whole disc of the greatest worth.
 const LAST_BUCKET: usize = AREA_BUCKETS - 1;
 
 /// One learned value.
@@ -79,7 +79,7 @@ impl QValue {
     }
 }
 
-/// Number of visits for which the initial value counts.
+/// Number of visits for which the initial value counts. The text of `policy.q-learning.rate_decay` repeats it.
 const PRIOR_VISITS: f64 = 4.0;
 
 /// Learning schedule.
@@ -150,7 +150,7 @@ pub struct DutyTable {
     pub q: Vec<QValue>,
     /// Q(battery, area, δ), in the same order.
     pub outcomes: Vec<QValue>,
-    /// V at the [`VALUE_NODES`] battery levels.
+    /// V at the [`VALUE_NODES`] battery levels, as learned. [`Self::values`] makes it monotone.
     pub value: Vec<QValue>,
 }
 
@@ -158,31 +158,35 @@ impl DutyTable {
     /// Creates the start, with V = `value` = 1/(1 − ζ), the value of sleeping forever. The reward of δ = 0 is 1. The
     /// reward of δ = 1 is `max_reward(bucket)` by area bucket, with no charge for the energy.
     pub fn optimistic(value: f64, max_reward: impl Fn(usize) -> f64) -> Self {
+        // By area bucket and δ, in the order of `duty_index`.
         let rewards: [[f64; 2]; AREA_BUCKETS] = std::array::from_fn(|area| [1.0, max_reward(area)]);
-        let with_later = |later: f64| -> Vec<QValue> {
-            let by_area = rewards.as_flattened().iter().map(|reward| QValue::new(reward + later));
+        let rewards_plus = |later_value: f64| -> Vec<QValue> {
+            let by_area = rewards
+                .as_flattened()
+                .iter()
+                .map(|reward| QValue::new(reward + later_value));
             by_area.collect::<Vec<_>>().repeat(BATTERY_BUCKETS)
         };
         Self {
-            q: with_later(0.0),
-            outcomes: with_later(value - 1.0),
+            q: rewards_plus(0.0),
+            outcomes: rewards_plus(value - 1.0),
             value: vec![QValue::new(value); VALUE_NODES],
         }
     }
 
     /// Returns Q − ζV of the action δ in a state.
     pub fn at(&self, battery: usize, area: usize, delta: bool) -> &QValue {
-        &self.q[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
+        &self.q[duty_index(battery, area, delta)]
     }
 
     /// Returns a mutable reference to Q − ζV of the action δ in a state.
     pub fn at_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
-        &mut self.q[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
+        &mut self.q[duty_index(battery, area, delta)]
     }
 
     /// Returns a mutable reference to the whole Q of the action δ in a state.
     pub(crate) fn outcome_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
-        &mut self.outcomes[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
+        &mut self.outcomes[duty_index(battery, area, delta)]
     }
 
     /// Returns Q(s, 1) − Q(s, 0) by battery and area, made monotone in the area. The learned values are noisy, and a
@@ -222,6 +226,11 @@ impl DutyTable {
         let cells = self.q.iter_mut().chain(&mut self.outcomes);
         cells.chain(&mut self.value).for_each(QValue::round);
     }
+}
+
+/// Returns the index of a value of the duty table: by battery bucket, area bucket and δ.
+fn duty_index(battery: usize, area: usize, delta: bool) -> usize {
+    (battery * AREA_BUCKETS + area) * 2 + usize::from(delta)
 }
 
 /// Replaces the values by the non-decreasing least-squares fit with these weights (pool adjacent violators).
@@ -299,9 +308,9 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     } else {
         // E_max can be exactly the energy that is needed.
         let span = energy.e_max.saturating_sub(needed).micro().max(1);
-        let parts = BATTERY_BUCKETS as u64 - 2;
+        let parts = BATTERY_BUCKETS as u64 - u64::from(FIRST_ABLE_BUCKET);
         let part = (level.saturating_sub(needed).micro() * parts / span).min(parts - 1);
-        2 + part as usize
+        usize::from(FIRST_ABLE_BUCKET) + part as usize
     }
 }
 
