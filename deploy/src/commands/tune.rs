@@ -89,13 +89,13 @@ fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
         ranges,
         objective: match args.objective {
             ObjectiveArg::Balance => TuningObjective::Balance {
-                energy: args.energy_weight,
-                miss: args.miss_weight,
+                energy_weight: args.energy_weight,
+                miss_weight: args.miss_weight,
             },
             ObjectiveArg::Information => TuningObjective::Information,
             ObjectiveArg::Efficiency => TuningObjective::Efficiency,
         },
-        design: args.design,
+        design_pairs: args.design,
         training: args.episodes.training_config()?,
         runs: args.seeds,
         ttis: args.ttis,
@@ -311,7 +311,7 @@ impl TuningDisplay {
 }
 
 impl TuningProgress for TuningDisplay {
-    fn begun(&self, number: usize, [mu1, mu2]: WeightPair) {
+    fn point_started(&self, number: usize, [mu1, mu2]: WeightPair) {
         let best_text = self.format_best();
         self.bar.set_message(format!(
             "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){best_text}",
@@ -320,15 +320,15 @@ impl TuningProgress for TuningDisplay {
         ));
     }
 
-    fn episode(&self) {
+    fn episode_ended(&self) {
         self.bar.inc(1);
     }
 
-    fn run(&self) {
+    fn run_ended(&self) {
         self.bar.inc(1);
     }
 
-    fn point(&self, point: &TuningPoint) {
+    fn point_ended(&self, point: &TuningPoint) {
         let mut best_point = self.best_point.lock().unwrap_or_else(PoisonError::into_inner);
         let candidate = (point.evaluation.objective, point.weights);
         if best_point.is_none_or(|(best_known, _)| candidate.0 > best_known) {
@@ -336,7 +336,7 @@ impl TuningProgress for TuningDisplay {
         }
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

@@ -109,14 +109,14 @@ pub enum TrainingError {
 /// Callbacks of a training. All threads call them.
 pub trait TrainingProgress: Sync {
     /// Reports the end of a complete episode of `entry`; `point` is the last point of its curve.
-    fn episode(&self, entry: &TableSet, point: &CurvePoint);
+    fn episode_ended(&self, entry: &TableSet, point: &CurvePoint);
     /// Returns whether to stop. The checkpoint keeps the tables trained so far.
-    fn stop(&self) -> bool;
+    fn should_stop(&self) -> bool;
 }
 
 impl TrainingProgress for () {
-    fn episode(&self, _: &TableSet, _: &CurvePoint) {}
-    fn stop(&self) -> bool {
+    fn episode_ended(&self, _: &TableSet, _: &CurvePoint) {}
+    fn should_stop(&self) -> bool {
         false
     }
 }
@@ -328,7 +328,7 @@ impl Trainer {
                         };
                         **entry = next;
                         save_entry(*index, entry)?;
-                        observer.episode(entry, entry.curve.last().expect("the episode's"));
+                        observer.episode_ended(entry, entry.curve.last().expect("the episode's"));
                     }
                     Ok(true)
                 })
@@ -420,7 +420,7 @@ fn run_episode(
         window: TTIS_BETWEEN_STOP_CHECKS,
         ..RunOptions::default()
     };
-    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
+    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.should_stop()));
     // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
     let mut next = tables_of(&outcome).filter(|_| outcome.is_complete)?;
     next.curve

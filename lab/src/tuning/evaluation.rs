@@ -1,9 +1,9 @@
 //! The measured result of a pair of weights. [`Evaluation::NAMES`] and the order of the values are the format of
-//! history files.
+//! history files; `reveille tune --json` uses the names as keys. A change needs another first line in `history`.
 
 use super::ranges::WeightPair;
 
-/// The measured result of a pair of weights, means over the evaluation runs.
+/// The measured result of a pair of weights: means over the evaluation runs in which the value is defined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evaluation {
     /// The objective.
@@ -16,7 +16,7 @@ pub struct Evaluation {
     pub information_half_width: f64,
     /// The share of events without a report, %.
     pub misdetection_pct: f64,
-    /// The units spent per device and TTI.
+    /// The energy spent per device and TTI, units.
     pub energy: f64,
     /// The number of wake-ups per event.
     pub wake_ups: f64,
@@ -48,7 +48,7 @@ impl Evaluation {
     }
 
     /// Creates an evaluation from [`Self::values`].
-    pub const fn new(values: [f64; 7]) -> Self {
+    pub const fn from_values(values: [f64; 7]) -> Self {
         let [
             objective,
             objective_half_width,

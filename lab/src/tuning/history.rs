@@ -1,24 +1,27 @@
 //! The points of a tuning and their CSV file: the description of the tuning in comment lines, then one line per point.
-//! A resumed tuning continues from this file; `figures tuning` draws it. Numbers read back as the same bits.
+//! A resumed tuning continues from this file; `figures tuning` draws it. Numbers read back as the same bits. `tuner`
+//! reads and writes the file; `plan` defines the entries of the description.
 
 use std::fmt::Write as _;
 
 use super::evaluation::{Evaluation, TuningPoint};
 use super::ranges::WeightPair;
 
-/// The first line, with the version of the format: a history with another first line is refused.
+/// The first line, with the version of the format: a history with another first line is refused. Raise the version with
+/// a change of the columns.
 const FIRST_LINE: &str = "# reveille tuning 1";
 
-fn columns() -> String {
+/// Returns the line with the names of the columns.
+fn column_line() -> String {
     format!("number,mu1,mu2,{}", Evaluation::NAMES.join(","))
 }
 
 /// The points of a tuning, in order of evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct History {
-    /// The description of the tuning, by name.
+    /// The description of the tuning: names and values, each without line breaks, and no ` = ` in a name.
     pub header: Vec<(String, String)>,
-    /// The points.
+    /// The points. The number of a point is its index, from 0; people see it from 1.
     pub points: Vec<TuningPoint>,
 }
 
@@ -54,22 +57,23 @@ impl History {
         entry.map_or("", |(_, value)| value)
     }
 
-    /// The two limits of a range in the header.
+    /// The two limits of a range in the header, which `TuningPlan::header` writes as `FROM to TO`.
     pub fn range(&self, name: &str) -> Option<(f64, f64)> {
         let (from, to) = self.header_value(name).split_once(" to ")?;
         Some((from.parse().ok()?, to.parse().ok()?))
     }
 
-    /// Lists the differences from a tuning with `header` and `design`, one phrase for each.
+    /// Lists the differences from a tuning with `header` and `design`, one phrase for each. Entries of the history that
+    /// `header` lacks are ignored.
     pub fn differences(&self, header: &[(String, String)], design: &[WeightPair]) -> Vec<String> {
         let differing = header.iter().filter(|(name, value)| self.header_value(name) != value);
         let mut differences: Vec<String> = differing
             .map(|(name, value)| format!("{name}: {} there, {value} here", self.header_value(name)))
             .collect();
         let bits = |pair: &WeightPair| pair.map(f64::to_bits);
-        let mut designed = self.points.iter().zip(design);
+        let mut points_of_design = self.points.iter().zip(design);
         // With another header the design differs for that reason alone.
-        if differences.is_empty() && designed.any(|(point, pair)| bits(&point.weights) != bits(pair)) {
+        if differences.is_empty() && points_of_design.any(|(point, pair)| bits(&point.weights) != bits(pair)) {
             differences.push("other pairs at the start".to_owned());
         }
         differences
@@ -77,19 +81,19 @@ impl History {
 
     /// Returns the file's text. Numbers are written in full, so that reading restores the same bits.
     pub(crate) fn to_csv(&self) -> String {
-        let mut out = format!("{FIRST_LINE}\n");
+        let mut text = format!("{FIRST_LINE}\n");
         for (name, value) in &self.header {
-            let _ = writeln!(out, "# {name} = {value}");
+            let _ = writeln!(text, "# {name} = {value}");
         }
-        let _ = writeln!(out, "{}", columns());
+        let _ = writeln!(text, "{}", column_line());
         for (number, TuningPoint { weights, evaluation }) in self.points.iter().enumerate() {
-            let _ = write!(out, "{number}");
+            let _ = write!(text, "{number}");
             for value in weights.iter().chain(&evaluation.values()) {
-                let _ = write!(out, ",{value}");
+                let _ = write!(text, ",{value}");
             }
-            out.push('\n');
+            text.push('\n');
         }
-        out
+        text
     }
 
     /// Parses `text`. Also returns whether an incomplete last line was dropped.
@@ -98,13 +102,13 @@ impl History {
     /// If the text is not a history; the error is the cause.
     pub fn parse(text: &str) -> Result<(Self, bool), String> {
         let is_torn = !text.ends_with('\n');
-        let complete = text.rfind('\n').map_or("", |newline| &text[..newline]);
-        let mut lines = complete.lines();
+        let complete_lines = text.rfind('\n').map_or("", |newline| &text[..newline]);
+        let mut lines = complete_lines.lines();
         if lines.next() != Some(FIRST_LINE) {
             return Err(format!("it does not begin with `{FIRST_LINE}`"));
         }
         let mut history = Self::new(Vec::new());
-        let column_line = loop {
+        let first_other_line = loop {
             match lines.next() {
                 Some(line) if line.starts_with('#') => {
                     let entry = line.trim_start_matches("# ").split_once(" = ");
@@ -114,7 +118,7 @@ impl History {
                 other => break other,
             }
         };
-        if column_line != Some(columns().as_str()) {
+        if first_other_line != Some(column_line().as_str()) {
             return Err("it does not have the columns of a history".to_owned());
         }
         for (number, line) in lines.enumerate() {
@@ -125,6 +129,7 @@ impl History {
     }
 }
 
+/// Parses the line of the point `number`. Returns `None` if it has another number, or values that no tuning writes.
 fn parse_point(number: usize, line: &str) -> Option<TuningPoint> {
     let (written_number, value_texts) = line.split_once(',')?;
     let values: Vec<f64> = value_texts
@@ -134,7 +139,7 @@ fn parse_point(number: usize, line: &str) -> Option<TuningPoint> {
         .ok()
         .filter(|_| written_number.parse() == Ok(number))?;
     let (weights, values) = values.split_first_chunk::<2>()?;
-    let evaluation = Evaluation::new(values.try_into().ok()?);
+    let evaluation = Evaluation::from_values(values.try_into().ok()?);
     // Half-widths are NaN with a single run, and some means may be NaN too. The proposer only uses these three.
     let is_finite = weights
         .iter()

@@ -1,5 +1,6 @@
-//! The objective of a tuning: the number that a run's metrics give, larger is better. Its text is in the header of the
-//! history file, so a change of the text ends the resumption of older tunings.
+//! The objective of a tuning: the number that a run's metrics give, larger is better. Its name and its text are in the
+//! header of the history file, so after a change of either, older tunings cannot be resumed. `figures tuning` shows
+//! both.
 
 use std::fmt;
 
@@ -9,12 +10,13 @@ use reveille_common::score::Metrics;
 /// event would favour policies that rarely look, because it ignores events that they miss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TuningObjective {
-    /// Information (P1) − `energy` · (units spent per device and TTI) − `miss` · (share of events misdetected).
+    /// Information (P1) − `energy_weight` · (units spent per device and TTI) − `miss_weight` · (share of events
+    /// misdetected).
     Balance {
         /// Value of one unit per device and TTI in information (P1), ≥ 0.
-        energy: f64,
+        energy_weight: f64,
         /// Cost of misdetecting all events in information (P1), beyond the information lost, ≥ 0.
-        miss: f64,
+        miss_weight: f64,
     },
     /// Information (P1), with a mean in `[0, Ψ]`.
     Information,
@@ -40,16 +42,17 @@ impl TuningObjective {
             return f64::NAN;
         }
         match self {
-            Self::Balance { energy, miss } => {
-                info_p1 - energy * energy_per_device_tti - miss * misdetection_pct / 100.0
-            }
+            Self::Balance {
+                energy_weight,
+                miss_weight,
+            } => info_p1 - energy_weight * energy_per_device_tti - miss_weight * misdetection_pct / 100.0,
             Self::Information => info_p1,
             Self::Efficiency if energy_per_device_tti <= 0.0 => f64::NAN,
             Self::Efficiency => info_p1 * alpha / (energy_per_device_tti * f64::from(devices)),
         }
     }
 
-    /// The name on the command line.
+    /// The name on the command line and in histories.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Balance { .. } => "balance",
@@ -62,8 +65,14 @@ impl TuningObjective {
 impl fmt::Display for TuningObjective {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Balance { energy, miss } => {
-                write!(f, "information (P1) − {energy} × energy − {miss} × share missed")
+            Self::Balance {
+                energy_weight,
+                miss_weight,
+            } => {
+                write!(
+                    f,
+                    "information (P1) − {energy_weight} × energy − {miss_weight} × share missed"
+                )
             }
             Self::Information => f.write_str("information (P1)"),
             Self::Efficiency => f.write_str("information per unit spent"),

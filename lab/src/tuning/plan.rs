@@ -1,5 +1,6 @@
 //! The evaluation of a pair of weights: trains tables with it and measures runs with those tables. All random draws
 //! follow from the scenario's seed, and the texts of [`TuningPlan::header`] identify a tuning in its history file.
+//! `tuner` calls this for one pair after another.
 
 use std::sync::Arc;
 
@@ -20,34 +21,36 @@ use crate::run::{Run, RunOptions, StopWhen};
 use crate::stats::Estimate;
 use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 
-/// An offset to the seeds of evaluation runs, far from the seeds of trainings and sweeps.
+/// An offset to the seeds of evaluation runs, far from the seeds of trainings (`EPISODE_SEED_OFFSET`) and sweeps.
 const EVALUATION_SEED_OFFSET: u64 = 0xE7A1_5EED_0000_0000;
 /// The largest number of TTIs between two checks whether to stop.
 const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
+/// The largest number of evaluation runs of a pair.
 const MAX_RUNS: u64 = 10_000;
+/// The largest number of pairs before the proposer chooses.
 const MAX_DESIGN_PAIRS: usize = 1000;
 
 /// Callbacks of a tuning. All threads call them.
 pub trait TuningProgress: Sync {
     /// Reports the start of the evaluation of a pair, the point `number` from 0.
-    fn begun(&self, _number: usize, _weights: WeightPair) {}
+    fn point_started(&self, _number: usize, _weights: WeightPair) {}
     /// Reports the end of an episode of the pair's training.
-    fn episode(&self) {}
+    fn episode_ended(&self) {}
     /// Reports the end of one of the pair's evaluation runs, which may have been stopped.
-    fn run(&self) {}
+    fn run_ended(&self) {}
     /// Reports the end of the evaluation, once its point is in the history.
-    fn point(&self, _point: &TuningPoint) {}
+    fn point_ended(&self, _point: &TuningPoint) {}
     /// Returns whether to stop, which discards the point in progress.
-    fn stop(&self) -> bool;
+    fn should_stop(&self) -> bool;
 }
 
 impl TuningProgress for () {
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         false
     }
 }
 
-/// The parameters of a tuning and of its evaluations.
+/// The parameters of a tuning and of its evaluations. Call [`Self::check`] before any other method.
 #[derive(Clone, Debug)]
 pub struct TuningPlan {
     /// The scenario for training and measurement. Its weights are tried first; its seed determines all random draws.
@@ -57,8 +60,8 @@ pub struct TuningPlan {
     /// The objective to maximise.
     pub objective: TuningObjective,
     /// The number of pairs before the proposer chooses, ≥ [`MIN_DESIGN_PAIRS`].
-    pub design: usize,
-    /// The training parameters.
+    pub design_pairs: usize,
+    /// The training parameters, except for the seed, which is the scenario's.
     pub training: QTrainingConfig,
     /// The number of evaluation runs of each pair, ≥ 1.
     pub runs: u64,
@@ -82,8 +85,8 @@ impl TuningPlan {
             })
         };
         // The texts below repeat the limits of the constants.
-        if !(MIN_DESIGN_PAIRS..=MAX_DESIGN_PAIRS).contains(&self.design) {
-            return invalid("design", &self.design, "must be from 3 to 1000");
+        if !(MIN_DESIGN_PAIRS..=MAX_DESIGN_PAIRS).contains(&self.design_pairs) {
+            return invalid("design", &self.design_pairs, "must be from 3 to 1000");
         }
         if !(1..=MAX_RUNS).contains(&self.runs) {
             return invalid("seeds", &self.runs, "must be from 1 to 10000");
@@ -91,16 +94,20 @@ impl TuningPlan {
         if !(10..=MAX_TTIS).contains(&self.ttis) {
             return invalid("ttis", &self.ttis, "must be from 10 to 1000000000 TTIs");
         }
-        let longest = self.scenario.max_ttis();
+        let max_ttis = self.scenario.max_ttis();
         for (option, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
-            if ttis > longest {
+            if ttis > max_ttis {
                 let requirement =
-                    format!("must be at most {longest} with this many devices, or sums of energy overflow");
+                    format!("must be at most {max_ttis} with this many devices, or sums of energy overflow");
                 return invalid(option, &ttis, &requirement);
             }
         }
-        if let TuningObjective::Balance { energy, miss } = self.objective {
-            for (option, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
+        if let TuningObjective::Balance {
+            energy_weight,
+            miss_weight,
+        } = self.objective
+        {
+            for (option, weight) in [("energy-weight", energy_weight), ("miss-weight", miss_weight)] {
                 if !(0.0..=1e6).contains(&weight) {
                     return invalid(option, &weight, "must be from 0 to 1000000");
                 }
@@ -117,14 +124,16 @@ impl TuningPlan {
             .ok_or_else(|| TrainingError::Policy(policy.name().to_owned()).into())
     }
 
-    /// The pairs to try first.
+    /// The pairs to try first: the scenario's weights, if the ranges contain them, and pairs drawn from its seed.
     pub fn design(&self) -> Vec<WeightPair> {
-        let start = self.settings().map_or([0.0; 2], |s| [s.weights.mu1, s.weights.mu2]);
-        design(&self.ranges, start, self.design, self.scenario.run.seed)
+        let weights = self.settings().map(|settings| settings.weights);
+        let start = weights.map_or([0.0; 2], |weights| [weights.mu1, weights.mu2]);
+        design(&self.ranges, start, self.design_pairs, self.scenario.run.seed)
     }
 
     /// The parameters that identify this tuning, by name. The number of pairs after the design is not one of them. The
-    /// figure of a tuning in `study` and `reveille tune` read them by these names.
+    /// figure of a tuning in `study` and `reveille tune` read them by these names, and `History::range` parses the
+    /// ranges. After a change of a name or text, older tunings cannot be resumed.
     pub fn header(&self) -> Vec<(String, String)> {
         let Ranges { mu1, mu2 } = self.ranges;
         let QTrainingConfig {
@@ -143,7 +152,7 @@ impl TuningPlan {
             ("objective", format!("{}: {}", self.objective.name(), self.objective)),
             ("mu1", format!("{} to {}", mu1.0, mu1.1)),
             ("mu2", format!("{} to {}", mu2.0, mu2.1)),
-            ("design", format!("{} pairs", self.design)),
+            ("design", format!("{} pairs", self.design_pairs)),
             (
                 "training",
                 format!(
@@ -175,9 +184,9 @@ impl TuningPlan {
                 window: TTIS_BETWEEN_STOP_CHECKS,
                 ..RunOptions::default()
             };
-            let outcome =
-                Run::new(&PreparedRun::without_pilots(&scenario), options).finish(&mut StopWhen(|| observer.stop()));
-            observer.run();
+            let outcome = Run::new(&PreparedRun::without_pilots(&scenario), options)
+                .finish(&mut StopWhen(|| observer.should_stop()));
+            observer.run_ended();
             outcome.is_complete.then_some(outcome.metrics)
         };
         // Collected by index, so that means are summed in the same order on any number of threads.
@@ -185,7 +194,8 @@ impl TuningPlan {
         metrics.map(|metrics| self.average(&metrics)).transpose()
     }
 
-    /// Returns the scenario of the evaluation runs, except their seeds, with tables trained with `weights`.
+    /// Returns the scenario of the evaluation runs, except their seeds, with tables trained with `weights`. Returns
+    /// `None` if the observer has stopped the training.
     fn train_scenario(
         &self,
         weights: WeightPair,
@@ -222,11 +232,12 @@ impl TuningPlan {
             initial_tables: Arc::new(entry),
             ..settings
         };
-        let mut trained = scenario_with(settings);
-        trained.run.ttis = self.ttis;
-        Ok(Some(trained))
+        let mut evaluation_scenario = scenario_with(settings);
+        evaluation_scenario.run.ttis = self.ttis;
+        Ok(Some(evaluation_scenario))
     }
 
+    /// Returns the means over the evaluation runs with these `metrics`.
     fn average(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
         let (alpha, devices) = (self.scenario.events.alpha, self.scenario.run.devices);
         let estimate = |value_of: &dyn Fn(&Metrics) -> f64| Estimate::from_values_or_nan(metrics.iter().map(value_of));
@@ -247,13 +258,14 @@ impl TuningPlan {
     }
 }
 
-/// Returns the seed of evaluation run `index` of a tuning with `seed`.
+/// Returns the seed of evaluation run `index` of a tuning with `seed`. A test compares it with the seeds of trainings.
 pub(crate) const fn evaluation_seed(seed: u64, index: u64) -> u64 {
     EVALUATION_SEED_OFFSET
         .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
         .wrapping_add(index)
 }
 
+/// Creates a pool of `threads` threads; 0 means one for each core.
 pub(super) fn new_pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| TrainingError::Threads {
@@ -266,11 +278,11 @@ pub(super) fn new_pool(threads: usize) -> Result<ThreadPool, TrainingError> {
 struct EpisodeForwarder<'a, O>(&'a O);
 
 impl<O: TuningProgress> TrainingProgress for EpisodeForwarder<'_, O> {
-    fn episode(&self, _: &TableSet, _: &CurvePoint) {
-        self.0.episode();
+    fn episode_ended(&self, _: &TableSet, _: &CurvePoint) {
+        self.0.episode_ended();
     }
 
-    fn stop(&self) -> bool {
-        self.0.stop()
+    fn should_stop(&self) -> bool {
+        self.0.should_stop()
     }
 }

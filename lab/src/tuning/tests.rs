@@ -28,8 +28,11 @@ fn small_plan() -> TuningPlan {
     TuningPlan {
         scenario: scenario_with(&["devices=12"]),
         ranges: Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges"),
-        objective: TuningObjective::Balance { energy: 1.0, miss: 1.0 },
-        design: 3,
+        objective: TuningObjective::Balance {
+            energy_weight: 1.0,
+            miss_weight: 1.0,
+        },
+        design_pairs: 3,
         training: QTrainingConfig {
             episodes: 2,
             ttis: 100,
@@ -91,11 +94,11 @@ impl StopInPoint {
 }
 
 impl TuningProgress for StopInPoint {
-    fn begun(&self, number: usize, _: WeightPair) {
+    fn point_started(&self, number: usize, _: WeightPair) {
         self.current_point.store(number, Ordering::Relaxed);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.current_point.load(Ordering::Relaxed) >= self.point_number
     }
 }
@@ -160,7 +163,7 @@ fn plans_out_of_range_are_refused() {
         assert!(error.contains(cause), "{error}");
     };
     assert!(small_plan().check().is_ok());
-    assert_refused(&|plan| plan.design = 2, "design");
+    assert_refused(&|plan| plan.design_pairs = 2, "design");
     // Sums of energy must fit in 2⁶⁴ micro-units: (18 446 744 − 10 000) / (10 000 + 1 + 1/14 + 10) TTIs, rounded down.
     let large = ["devices=1000000", "energy.e_max=10000", "harvest.e_b=10000", "ttis=100"];
     let with_many_devices = |plan: &mut TuningPlan| plan.scenario = scenario_with(&large);
@@ -188,8 +191,8 @@ fn plans_out_of_range_are_refused() {
     assert_refused(
         &|plan| {
             plan.objective = TuningObjective::Balance {
-                energy: f64::NAN,
-                miss: 1.0,
+                energy_weight: f64::NAN,
+                miss_weight: 1.0,
             };
         },
         "energy-weight",
@@ -216,7 +219,11 @@ fn objectives_follow_from_the_totals_of_a_run() {
     assert!((value_of(TuningObjective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
     let missed_share = totals.events.misdetected as f64 / events;
     let balance = information / expected_events - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed_share;
-    assert!((value_of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
+    let weighted = TuningObjective::Balance {
+        energy_weight: 0.5,
+        miss_weight: 2.0,
+    };
+    assert!((value_of(weighted) - balance).abs() < 1e-12);
     assert!(missed_share > 0.0, "no event was missed");
     assert!(
         TuningObjective::Information

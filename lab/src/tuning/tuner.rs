@@ -95,7 +95,7 @@ impl Tuner {
         let pool = new_pool(threads)?;
         while self.pairs_left(iterations) > 0 {
             let weights = self.choose_next(proposer)?;
-            observer.begun(self.history.points.len(), weights);
+            observer.point_started(self.history.points.len(), weights);
             let Some(evaluation) = self.plan.evaluate(weights, &pool, observer)? else {
                 return Ok(false);
             };
@@ -103,7 +103,7 @@ impl Tuner {
             self.history.points.push(point);
             // After each point: a killed tuning only loses the point in progress.
             self.history.write(&self.path)?;
-            observer.point(&point);
+            observer.point_ended(&point);
         }
         Ok(true)
     }

@@ -114,7 +114,7 @@ struct TrainingDisplay {
 }
 
 impl TrainingProgress for TrainingDisplay {
-    fn episode(&self, entry: &TableSet, point: &CurvePoint) {
+    fn episode_ended(&self, entry: &TableSet, point: &CurvePoint) {
         let CurvePoint {
             reward, information, ..
         } = point;
@@ -126,7 +126,7 @@ impl TrainingProgress for TrainingDisplay {
         self.bar.inc(1);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

@@ -303,11 +303,11 @@ fn a_training_resumes_from_any_checkpoint_with_the_same_result() {
 struct StopAfterEpisodes(AtomicU64);
 
 impl TrainingProgress for StopAfterEpisodes {
-    fn episode(&self, _: &TableSet, _: &CurvePoint) {
+    fn episode_ended(&self, _: &TableSet, _: &CurvePoint) {
         self.0.fetch_sub(1, Ordering::Relaxed);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed) == 0
     }
 }
