@@ -11,7 +11,7 @@ use reveille_common::bus::{self, Bus, draw_secret, scaled_timeout};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostConfig, HostError};
 
-use super::bs::{Service, check_watchers, serve_run, server_settings};
+use super::bs::{RunService, check_observers, serve_run, server_settings};
 use super::resolve_scenario::resolve_started_run;
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
@@ -42,7 +42,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     if processes == 0 && args.drive.on_loss != OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
-    check_watchers(&args.output, &args.drive)?;
+    check_observers(&args.output, &args.drive)?;
     let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
@@ -52,7 +52,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, processes, &folder).await {
         Ok((bus, run)) => {
-            let service = Service {
+            let service = RunService {
                 settings: ServerConfig {
                     join_timeout: Some(scaled_timeout(JOIN_TIMEOUT, processes)),
                     run_key: Some(draw_secret()?),
@@ -92,7 +92,7 @@ async fn listen(args: &UpArgs, processes: u32, folder: &RunFolder) -> anyhow::Re
 /// Serves the run to devices in this process or in `processes` others.
 async fn serve_with_devices(
     processes: u32,
-    service: &Service<'_>,
+    service: &RunService<'_>,
     folder: RunFolder,
     (is_untuned, log): (bool, &[String]),
 ) -> anyhow::Result<ExitCode> {
