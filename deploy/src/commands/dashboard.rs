@@ -11,7 +11,7 @@ use reveille_common::message::Frame;
 use reveille_view::compare::{RunComparison, RunSide, compare_scenarios};
 
 use super::inspect::live::Live;
-use super::inspect::source::{device_groups, open};
+use super::inspect::source::{device_groups, open_recording};
 use crate::cli::DashboardArgs;
 use crate::dashboard::feed::{ComparedRun, Feed, FeedOrigin};
 use crate::dashboard::serve;
@@ -38,7 +38,7 @@ fn feed_from_recording(
     mut on_frame: impl FnMut(&Frame),
 ) -> anyhow::Result<Arc<Feed>> {
     let path_text = || path.display().to_string();
-    let mut recording = open(path)?;
+    let mut recording = open_recording(path)?;
     let scenario = recording.bundle().load().with_context(path_text)?;
     let feed = Feed::new(
         recording.run(),
@@ -71,7 +71,7 @@ fn feed_from_recording(
 fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, String)>> {
     let Some(path) = path else { return Ok(None) };
     let option = || format!("--compare {}", path.display());
-    let scenario_text = open(path).with_context(option)?.bundle().text.clone();
+    let scenario_text = open_recording(path).with_context(option)?.bundle().text.clone();
     let mut comparison = RunComparison::default();
     let feed = feed_from_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(option)?;
     // A recording that was cut short cannot be compared beyond its end.
@@ -100,7 +100,7 @@ fn add_scenario_differences(
 }
 
 async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()> {
-    let scenario_text = open(path)?.bundle().text.clone();
+    let scenario_text = open_recording(path)?.bundle().text.clone();
     let compared = add_scenario_differences(read_compared(args.compare.as_deref())?, &scenario_text)?;
     let feed = feed_from_recording(path, compared, |_| {})?;
     // Installed after the recording is read: until then the default action ends the program.
@@ -121,7 +121,7 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     let catch_up = live.start_catch_up(&bundle).await?;
     live.report_position();
     let feed = Feed::new(
-        &live.run,
+        &live.run_name,
         &scenario,
         device_groups(&scenario),
         FeedOrigin::OtherRun,

@@ -10,7 +10,7 @@ use reveille_view::compare::RunSide;
 use serde_json::Value;
 
 use super::messages;
-use crate::commands::inspect::source::{RecordingFile, open};
+use crate::commands::inspect::source::{RecordingFile, open_recording};
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
@@ -61,7 +61,7 @@ impl ComparedRun {
     /// If it is neither, or the run has no results yet.
     pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         if path.is_file() {
-            let mut recording = open(path)?;
+            let mut recording = open_recording(path)?;
             let summary = recording.summary().map(serde_json::from_str).transpose();
             return Ok(Self {
                 path: path.to_owned(),
@@ -173,7 +173,7 @@ impl ComparedRun {
         let has_equal_digest = self.digest().is_some() && self.digest() == other.digest();
         match (&self.source, &other.source) {
             (Source::Recording(own_path), Source::Recording(other_path)) => {
-                let mut recordings = (open(own_path)?, open(other_path)?);
+                let mut recordings = (open_recording(own_path)?, open_recording(other_path)?);
                 let difference = messages::compare(&mut recordings.0, &mut recordings.1, other_number);
                 let torn = difference.torn.map(|(side, error)| {
                     let path = if side == RunSide::This { own_path } else { other_path };
