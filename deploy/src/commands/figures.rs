@@ -1,7 +1,7 @@
 //! `reveille figures`: figures as SVG and PNG, with their data as CSV. `study/src/figures/` draws; this module reads
 //! the input, names the files, and reports figures that cannot be drawn. `docs/drawing-figures.md`,
 //! `docs/figures/make.sh` and tests use the file names. A new figure of [`draw_study`] needs its name in
-//! `cli::other_figures`; to appear in the report, also an entry in `scenes` and `figure_order` of `report`.
+//! `cli::other_figures`; to appear in the report, also an entry in `draw_figures` and `figure_order` of `report`.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

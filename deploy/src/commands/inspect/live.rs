@@ -230,8 +230,8 @@ impl Live {
             catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
         })?;
         while wants_more && let Some((frames, _)) = self.next().await {
-            // The kinds before which `CatchUp::push` needs the log. The tap also copies the query below: other kinds must
-            // not trigger the next query.
+            // The kinds before which `CatchUp::push` needs the log. No others: the tap also copies the query below,
+            // which must not trigger the next one.
             let may_trigger_replay =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
             if !catch_up.is_over() && frames.iter().any(may_trigger_replay) {
