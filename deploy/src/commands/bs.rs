@@ -1,8 +1,8 @@
 //! `reveille bs`: the base station, for devices started by hand. [`serve_run`] is the whole run over the bus, which
 //! `up` shares: services, replay and audit, results, farewell. The order of its steps is a guarantee: the summary is
 //! written after all other files, since it marks the folder as complete, and the hosts leave after it. Tests wait for
-//! the notes `waiting for N devices` and `dashboard at`, and rely on handlers of signals installed before them; `bench
-//! watch` and tests read the address in the latter.
+//! the notes `waiting for N devices` and `dashboard at`, and rely on handlers of signals installed before them. Tests
+//! and `bench watch` read the address in the latter.
 
 use std::path::Path;
 use std::process::ExitCode;
