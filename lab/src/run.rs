@@ -352,7 +352,7 @@ impl Devices {
                     SenseOutcome::Nothing => {}
                     SenseOutcome::Unpowered => unpowered += 1,
                     SenseOutcome::Reported(report) => self.reports.push(report),
-                    SenseOutcome::Failed(failure) => self.failures.push(failure),
+                    SenseOutcome::TransmissionFailed(failure) => self.failures.push(failure),
                 }
             }
         }

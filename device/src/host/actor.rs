@@ -81,7 +81,7 @@ impl Actor {
         let answer = match sensed {
             SenseOutcome::Nothing => DeviceAnswer::Nothing,
             SenseOutcome::Unpowered => DeviceAnswer::Unpowered,
-            SenseOutcome::Failed(failure) => DeviceAnswer::Failed(failure),
+            SenseOutcome::TransmissionFailed(failure) => DeviceAnswer::Failed(failure),
             SenseOutcome::Reported(report) => {
                 // Sent before the part is added: the answer states the number of reports and has to follow them on the
                 // link.
