@@ -84,7 +84,7 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
         let option = format!("--set {}", text.trim());
-        let field = builder.rename(field.trim(), &option);
+        let field = builder.current_path(field.trim(), &option);
         builder.set.insert(field, (parse_value(value), option));
     }
     Ok(builder)
