@@ -68,12 +68,12 @@ impl Arrays {
         let mut ttis = self.ttis.bind(py).try_readwrite()?;
         let mut ended = self.ended.bind(py).try_readwrite()?;
         let buffers = BatchBuffers {
-            devices: devices.as_slice_mut()?,
-            global: global.as_slice_mut()?,
+            device_features: devices.as_slice_mut()?,
+            global_features: global.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
             mask: mask.as_slice_mut()?,
             reward: reward.as_slice_mut()?,
-            parts: parts.as_slice_mut()?,
+            reward_terms: parts.as_slice_mut()?,
             ttis: ttis.as_slice_mut()?,
             ended: ended.as_slice_mut()?,
         };
@@ -135,7 +135,7 @@ impl PyEnvBatch {
         let inner = py.detach(|| gym::EnvBatch::new(&scenarios, weights, threads));
         let inner = inner.map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         let batch = Self {
-            arrays: Arrays::new(py, seeds.len(), inner.devices()),
+            arrays: Arrays::new(py, seeds.len(), inner.device_count()),
             inner: Mutex::new(inner),
             source,
             set,
@@ -152,7 +152,7 @@ impl PyEnvBatch {
         let scenario = read_external(py, &self.source, &set)?;
         let (batch_size, devices) = {
             let inner = self.lock();
-            (inner.len(), inner.devices())
+            (inner.len(), inner.device_count())
         };
         if scenario.run.devices as usize != devices {
             let cause = format!("the environment has {devices} devices, and its spaces cannot change");
@@ -182,7 +182,7 @@ impl PyEnvBatch {
         let shape = [actions.shape()[0], actions.shape()[1], rests.shape()[0]];
         let expected = {
             let inner = self.lock();
-            [inner.len(), inner.devices(), inner.len()]
+            [inner.len(), inner.device_count(), inner.len()]
         };
         if shape != expected {
             let [k, n, _] = expected;
@@ -227,7 +227,7 @@ impl PyEnvBatch {
             let mut inner = self.lock();
             Self::check_index(at, inner.len())?;
             // The arrays have the shape of the first scenario.
-            if environment.template().scenario().run.devices as usize != inner.devices() {
+            if environment.template().scenario().run.devices as usize != inner.device_count() {
                 return Err(PyValueError::new_err("the snapshot has another number of devices"));
             }
             inner.replace(at, environment);
@@ -250,7 +250,7 @@ impl PyEnvBatch {
     /// Number of devices N.
     #[getter]
     fn n(&self) -> usize {
-        self.lock().devices()
+        self.lock().device_count()
     }
 
     /// Length K of a run, TTIs.

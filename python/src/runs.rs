@@ -107,7 +107,7 @@ impl SweepProgress for PySweepProgress<'_> {
     fn started(&self, _: usize) {}
     fn finished(&self, _: usize) {}
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }

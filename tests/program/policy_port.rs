@@ -14,7 +14,7 @@ use reveille_common::io::Disk;
 use reveille_common::message::InputLogPart;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{Override, load};
-use reveille_lab::external_inputs::{ExternalInput, first_line, line};
+use reveille_lab::external_inputs::{ExternalInput, first_line, input_line};
 use reveille_tests::external_policy::{ExternallyDecidedRun, MAY_WAKE, SHORT_RUN, answer, run_built_in};
 use reveille_tests::process::{
     PATIENCE, Process, SummaryJson, TestFolder, hosts_of, is_alive, send_signal, unique_run, wait_until,
@@ -191,7 +191,7 @@ fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
         let cycles = (0..1000).map(|j| sleeping((k * 1000 + j) * 7_919_777)).collect();
         let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
         let decision = Decision::Plan(PlanDecision { plan, next });
-        line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), decision }))
+        input_line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), decision }))
     });
     let log = first_line(&scenario) + &plans.collect::<String>();
     assert!(log.len() as u64 > InputLogPart::MAX_BYTES, "{} bytes", log.len());

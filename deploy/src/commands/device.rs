@@ -30,7 +30,7 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     // `up` reports on behalf of its children.
     let is_standalone = args.parent.is_none();
     let report_event = |event: HostEvent| match event {
-        HostEvent::Joined(host, first, last) if is_standalone => {
+        HostEvent::Joined { host, first, last } if is_standalone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
         HostEvent::StandsBy if is_standalone => {
@@ -39,7 +39,7 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
                 args.run
             );
         }
-        HostEvent::Joined(..) | HostEvent::StandsBy => {}
+        HostEvent::Joined { .. } | HostEvent::StandsBy => {}
     };
     let key = match &args.key_file {
         Some(path) => Some(key::read(path)?),

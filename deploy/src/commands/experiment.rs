@@ -91,7 +91,7 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
         };
         let origin = format!("--set {}", text.trim());
         // `add_axis` maps former names itself.
-        let field = builder.rename(field.trim(), &origin);
+        let field = builder.current_path(field.trim(), &origin);
         builder.set.insert(field, (parse_value(value), origin));
     }
     Ok(builder)

@@ -53,8 +53,8 @@ impl PairedDifference {
         let (difference, half_width) = difference(&own, &theirs, &pairs);
         Some(Self {
             seeds: pairs.len(),
-            mean: own.estimate.mean,
-            reference_mean: theirs.estimate.mean,
+            mean: own.mean_estimate.mean,
+            reference_mean: theirs.mean_estimate.mean,
             difference,
             half_width,
             is_paired: paired_half_width(&own, &theirs, &pairs, 1.0).is_some(),
@@ -66,7 +66,7 @@ impl PairedDifference {
 /// usable `pairs` get the sum of both half-widths.
 pub(crate) fn difference(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> (f64, f64) {
     let half_width = paired_half_width(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
-    (own.estimate.mean - theirs.estimate.mean, half_width)
+    (own.mean_estimate.mean - theirs.mean_estimate.mean, half_width)
 }
 
 /// Half the interval of the mean of a − `factor` · b over `pairs`; `None` if the cases are too few or there are fewer

@@ -360,7 +360,7 @@ impl RunCondition {
         let metric_estimate = self.metric_estimate(policy, n, metric)?;
         Some(Estimate {
             half_width: metric_estimate.half_width(),
-            ..metric_estimate.estimate
+            ..metric_estimate.mean_estimate
         })
     }
 

@@ -196,7 +196,7 @@ impl PaperFigure {
             let estimate = self.metric_estimate(condition, policy, n)?;
             Some(ChartPoint {
                 x: f64::from(n),
-                y: estimate.estimate.mean,
+                y: estimate.mean_estimate.mean,
                 y_half_width: estimate.half_width(),
                 x_half_width: f64::NAN,
             })
@@ -276,7 +276,7 @@ impl PaperFigure {
             for n in condition.device_counts(&series.name) {
                 if let Some(metric_estimate) = self.metric_estimate(condition, &series.name, n) {
                     let half_width = half_width_cell(metric_estimate.half_width());
-                    let (policy, estimate) = (&series.name, metric_estimate.estimate);
+                    let (policy, estimate) = (&series.name, metric_estimate.mean_estimate);
                     let _ = writeln!(
                         out,
                         "measured,{label},{policy},{n},{metric},{},{half_width},{},,",

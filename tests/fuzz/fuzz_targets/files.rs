@@ -118,7 +118,7 @@ fn check_mark(text: &str) {
 fn check_input_log(text: &str) {
     match external_inputs::parse(text, scenario()) {
         Ok(inputs) => {
-            let lines: String = inputs.iter().map(|input| external_inputs::line(&input)).collect();
+            let lines: String = inputs.iter().map(|input| external_inputs::input_line(&input)).collect();
             let reread = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
             assert_eq!(reread.expect("written text can be read"), inputs);
             for removal in inputs.removals {

@@ -201,7 +201,7 @@ mod tests {
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
     use reveille_common::units::Energy;
-    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line};
+    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, input_line};
     use reveille_lab::stepped_run::SteppedRun;
 
     use super::*;
@@ -309,7 +309,7 @@ mod tests {
             let (expected, mut line_ends) = (without_world(&self.frames), vec![first_line(scenario).len()]);
             let mut log = first_line(scenario);
             for (_, input) in &self.inputs {
-                log += &line(input);
+                log += &input_line(input);
                 line_ends.push(log.len());
             }
             // The part of the log known so far, with some bytes of a line that is being written.

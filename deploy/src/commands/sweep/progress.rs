@@ -218,7 +218,7 @@ impl SweepProgress for SweepDisplay {
         }
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

@@ -303,7 +303,7 @@ fn estimate_json(estimate: MetricEstimate) -> Json {
         deviation,
         half_width,
         runs,
-    } = estimate.estimate;
+    } = estimate.mean_estimate;
     json!({
         "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs,
         "upper_bound": estimate.upper_bound, "lower_bound": estimate.lower_bound,
@@ -316,7 +316,7 @@ fn format_estimate(estimate: Option<MetricEstimate>) -> String {
     let Some(estimate) = estimate else {
         return "–".to_owned();
     };
-    let Estimate { mean, half_width, .. } = estimate.estimate;
+    let Estimate { mean, half_width, .. } = estimate.mean_estimate;
     // Two significant digits of the uncertainty.
     let digits = |uncertainty: f64| decimals_for(uncertainty, 2);
     match estimate.upper_bound {

@@ -215,7 +215,7 @@ impl SweepFigureSpec {
             let estimate = point.metric_estimate(&self.metric)?;
             Some(ChartPoint {
                 x: *x,
-                y: estimate.estimate.mean,
+                y: estimate.mean_estimate.mean,
                 y_half_width: estimate.half_width(),
                 x_half_width: f64::NAN,
             })
@@ -341,10 +341,10 @@ impl SweepFigureSpec {
             for (x, point) in line {
                 if let Some(metric_estimate) = point.metric_estimate(&self.metric) {
                     let (mean, half_width) = (
-                        metric_estimate.estimate.mean,
+                        metric_estimate.mean_estimate.mean,
                         half_width_cell(metric_estimate.half_width()),
                     );
-                    let (name, runs) = (csv_cell(name), metric_estimate.estimate.runs);
+                    let (name, runs) = (csv_cell(name), metric_estimate.mean_estimate.runs);
                     out.push_str(&row(
                         &values,
                         &format!("{name},{x},{},{mean},{half_width},{runs}", self.metric),

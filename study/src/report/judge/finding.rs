@@ -61,7 +61,7 @@ impl TopicRuns<'_> {
         let mean_finding = Finding {
             n,
             other_policy: None,
-            value: own.estimate.mean,
+            value: own.mean_estimate.mean,
             low: own.limits().0,
             high: own.limits().1,
             zero_limit: self.zero_limit(claim.policy, n),
@@ -119,7 +119,7 @@ impl TopicRuns<'_> {
     /// Largest value that counts as 0 for `policy` with `n` devices.
     fn zero_limit(&self, policy: &str, n: u32) -> f64 {
         let others = self.condition.policies().into_iter().filter(|other| *other != policy);
-        let means = others.filter_map(|other| Some(self.metric_estimate(other, n)?.estimate.mean));
+        let means = others.filter_map(|other| Some(self.metric_estimate(other, n)?.mean_estimate.mean));
         ZERO_SHARE * means.fold(0.0, f64::max)
     }
 
@@ -144,7 +144,7 @@ impl TopicRuns<'_> {
 /// and harvests, so the spread is taken over their differences from the common ratio. Other means, and metrics with
 /// an upper bound from case counts, use the worst case of both intervals.
 fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
-    let (a, b) = (own.estimate.mean, theirs.estimate.mean);
+    let (a, b) = (own.mean_estimate.mean, theirs.mean_estimate.mean);
     let value = match (a == 0.0, b == 0.0) {
         (true, true) => 1.0,
         (false, true) => f64::INFINITY,
@@ -178,7 +178,7 @@ mod tests {
 
     fn estimate_of(values: &[f64]) -> MetricEstimate {
         MetricEstimate {
-            estimate: Estimate::from_values_or_nan(values.iter().copied()),
+            mean_estimate: Estimate::from_values_or_nan(values.iter().copied()),
             case_counts: None,
             upper_bound: None,
             lower_bound: None,

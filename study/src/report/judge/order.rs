@@ -52,7 +52,7 @@ pub(super) fn compare_policies(
             ) else {
                 continue;
             };
-            let difference = own.estimate.mean - theirs.estimate.mean;
+            let difference = own.mean_estimate.mean - theirs.mean_estimate.mean;
             pairs.push(PolicyPair {
                 n,
                 other_policy,
