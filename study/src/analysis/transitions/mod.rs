@@ -39,8 +39,7 @@ pub struct Transition {
     pub printed: f64,
     /// Minimum and maximum of the printed form.
     pub printed_range: (f64, f64),
-    /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or
-    /// NaN.
+    /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or NaN.
     pub improper_count: usize,
     /// Share of the visits if δ alone decides (no events, no failures), over all devices; `None` for other pairs than
     /// S1 and S4, and without a visit.
