@@ -107,7 +107,7 @@ fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
 /// # Errors
 /// A file has no learning curve, or there are too many files or rows.
 pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
-    let too_many = |count, what, limit| FigureError::TooManyCurves { count, what, limit };
+    let too_many = |count, items, limit| FigureError::TooManyCurves { count, items, limit };
     if sources.len() > MAX_FILES {
         return Err(too_many(sources.len(), "files", MAX_FILES));
     }

@@ -83,7 +83,7 @@ fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
     }
     let at = legend.place(scene, "device");
     scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 0.5);
-    legend.end()
+    legend.next_base_line()
 }
 
 fn caption(misses: &Misses) -> String {

@@ -83,7 +83,7 @@ impl Timeline {
         if devices.len() > MAX_DEVICES as usize {
             return Err(FigureError::TooManyDevices {
                 count: devices.len() as u32,
-                what: "a timeline",
+                figure: "a timeline",
                 limit: MAX_DEVICES,
                 advice: "draw several",
             });
