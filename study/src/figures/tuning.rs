@@ -7,7 +7,7 @@ use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 
 use super::contour::contour_segments;
 use super::font::{Weight, text_width, wrap_text};
-use super::heat::{blend, contrast_colour};
+use super::heat::{colour_at, contrast_colour};
 use super::path::{Rect, VectorPath, boxes_overlap};
 use super::scale::{AxisTick, Scale, label};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
@@ -124,7 +124,7 @@ impl SurfacePanel {
     fn colour(&self, value: f64) -> Rgb {
         let (low, high) = self.value_range;
         let share = if high > low { (value - low) / (high - low) } else { 0.5 };
-        blend(2.0 * share.clamp(0.0, 1.0) - 1.0)
+        colour_at(2.0 * share.clamp(0.0, 1.0) - 1.0)
     }
 
     /// Returns the levels of the contour lines and of the key, and the step between them.

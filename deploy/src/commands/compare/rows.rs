@@ -76,7 +76,7 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
             text,
             "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}",
             found.seeds,
-            format_number(found.mean),
+            format_number(found.compared_mean),
             format_number(found.reference_mean),
         );
     }

@@ -128,7 +128,7 @@ impl Row<'_> {
     pub(super) fn to_json(&self) -> Value {
         let found = self.found;
         json!({
-            "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": found.seeds, "mean": found.mean,
+            "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": found.seeds, "mean": found.compared_mean,
             "against_mean": found.reference_mean, "difference": found.difference, "half_width": found.half_width,
             "paired": found.is_paired,
         })
