@@ -443,7 +443,7 @@ impl PlotFrame<'_> {
         };
         let x = self.mark_x(mark);
         let corners = [x - 2.2, self.y(high), x + 2.2, self.y(low)];
-        scene.outlined(
+        scene.outlined_area(
             VectorPath::rectangle(corners),
             Paint::Paper,
             Stroke::solid(mark.style.paint, 0.9),

@@ -9,7 +9,7 @@ use libm::sqrt;
 use super::chart::hatch_lines;
 use super::font::{Weight, text_width};
 use super::path::{Rect, VectorPath};
-use super::scale::label;
+use super::scale::format_with_step;
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
 use super::style::{LEADING, TEXT_SIZE};
 
@@ -398,7 +398,7 @@ pub fn short_number(value: f64) -> String {
         (9999.5, 1e3, "k", 1.0),
     ] {
         if size >= min_size {
-            return format!("{}{suffix}", label(value / divisor, step));
+            return format!("{}{suffix}", format_with_step(value / divisor, step));
         }
     }
     let step = if size < 9.995 {
@@ -408,7 +408,7 @@ pub fn short_number(value: f64) -> String {
     } else {
         1.0
     };
-    label(value, step)
+    format_with_step(value, step)
 }
 
 #[cfg(test)]

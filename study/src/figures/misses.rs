@@ -78,7 +78,7 @@ pub fn scene(misses: &Misses) -> Scene {
 
 fn draw_miss(scene: &mut Scene, cause: Option<MissCause>, at: (f64, f64)) {
     let (paint, shape) = cause_style(cause);
-    scene.outlined(shape.path(at, EVENT_RADIUS), paint, Stroke::solid(Paint::Paper, 0.3));
+    scene.outlined_area(shape.path(at, EVENT_RADIUS), paint, Stroke::solid(Paint::Paper, 0.3));
 }
 
 /// Draws the causes that occur, with their numbers of events. Returns the base line of the text below.

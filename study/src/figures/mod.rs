@@ -15,8 +15,8 @@
 //! `reveille figures`, `report` and `tune` and the Python package call these modules. A changed look does not reach
 //! the pictures in `docs/figures/`, which are committed: `docs/figures/make.sh` draws them again.
 //!
-//! Several figures share `area_plot`, `cell_map`, `floor`, `heat`, `note`, `scale`, `stated` and `style`. `paired` draws
-//! nothing: it computes differences for the report and `reveille compare`.
+//! Several figures share `area_plot`, `cell_map`, `floor`, `heat`, `note`, `scale`, `stated` and `style`. `paired`
+//! draws nothing: it computes differences for the report and `reveille compare`.
 
 pub mod area_plot;
 pub mod attention;

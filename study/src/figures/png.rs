@@ -5,7 +5,7 @@ use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pi
 
 use super::font::{lay_out_glyphs, outline, units_per_em};
 use super::path::{PathStep, VectorPath};
-use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
+use super::scene::{Paint, Rgb, Scene, SceneItem, Shape, Stroke, Text};
 
 /// Pixels per inch.
 pub(crate) const DPI: f64 = 300.0;
@@ -86,7 +86,7 @@ fn to_skia_path(path: &VectorPath) -> Option<tiny_skia::Path> {
     builder.finish()
 }
 
-fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, to_pixels: Transform) {
+fn draw_shape(pixmap: &mut Pixmap, shape: &Shape, to_pixels: Transform) {
     let Some(path) = to_skia_path(&shape.path) else { return };
     let [left, top, right, bottom] = shape.path.bounds();
     // An interval of no width has nothing to fill.

@@ -90,7 +90,7 @@ fn reference_policy<'r>(args: &'r CompareArgs, results: &'r Results) -> anyhow::
     let mut policies: Vec<&str> = results.conditions.iter().flat_map(RunCondition::policies).collect();
     let mut seen = std::collections::BTreeSet::new();
     policies.retain(|policy| seen.insert(*policy));
-    let wanted = args.against.as_deref().or(results.tables[0].first_policy.as_deref());
+    let wanted = args.against.as_deref().or(results.tables[0].first_series.as_deref());
     match (&args.against, policies.iter().find(|policy| Some(**policy) == wanted)) {
         (_, Some(found)) => Ok(found),
         (Some(unknown), None) => bail!(

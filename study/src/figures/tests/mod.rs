@@ -65,11 +65,15 @@ fn texts(scene: &Scene) -> Vec<&str> {
 /// a stored picture.
 fn check_properties(name: &str, scene: &Scene) {
     assert!(
-        scene.outside().is_empty(),
+        scene.items_outside().is_empty(),
         "{name} reaches beyond the canvas: {:?}",
-        scene.outside()
+        scene.items_outside()
     );
-    assert!(scene.overlapping().is_empty(), "{name}: {:?}", scene.overlapping());
+    assert!(
+        scene.overlapping_texts().is_empty(),
+        "{name}: {:?}",
+        scene.overlapping_texts()
+    );
     for item in &scene.items {
         if let SceneItem::Text(text) = item {
             assert!(text.size >= 8.0, "{name}: {text:?} is too small");
