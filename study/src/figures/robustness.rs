@@ -361,7 +361,7 @@ mod tests {
             );
         }
         // In the order of `IMPAIRMENTS`: the last level raises its metric, a percentage, by more than 2 points. The
-        // limit is arbitrary.
+        // limit only tells an effect from none.
         let raised_metrics = [
             "missed_wake_ups_pct",
             "false_wake_ups_pct",

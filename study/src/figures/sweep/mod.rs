@@ -52,7 +52,7 @@ pub(crate) type Facet = Vec<(String, String)>;
 /// A sweep figure.
 #[derive(Clone, Debug)]
 pub struct SweepFigure {
-    /// Facet of the figure; empty for a single figure.
+    /// Facet of the figure; empty if the runs differ in no other field.
     pub facet: Facet,
     /// The chart.
     pub chart: Chart,
