@@ -18,7 +18,7 @@ use reveille_lab::trajectories::record_steps;
 use super::area_plot::{AreaPlot, draw_caption, draw_title};
 use super::deployment::draw_star;
 use super::error::FigureError;
-use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_colour_scale};
+use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour_of, draw_colour_scale};
 use super::path::VectorPath;
 use super::scene::{Paint, Scene, Stroke};
 use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN};
@@ -179,14 +179,14 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         .zip(&attention.log_expectations)
     {
         let corners = VectorPath::closed_line(cell.iter().map(|p| plot.to_canvas(*p)));
-        scene.outlined(corners, Paint::Colour(colour(*log, largest)), border);
+        scene.outlined_area(corners, Paint::Colour(colour_of(*log, largest)), border);
     }
     plot.draw_axes(&mut scene);
     for (j, position) in attention.positions.iter().enumerate() {
         let at = plot.to_canvas(*position);
         if attention.is_sensing[j] {
             let blue = Stroke::solid(Paint::Colour(BLUE), 1.2);
-            scene.outlined(VectorPath::circle(at, 2.8), Paint::Paper, blue);
+            scene.outlined_area(VectorPath::circle(at, 2.8), Paint::Paper, blue);
         } else {
             scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 1.0);
         }

@@ -454,7 +454,7 @@ impl PlotFrame<'_> {
         };
         let x = self.canvas_x_of_mark(mark);
         let corners = [x - 2.2, self.canvas_y(high), x + 2.2, self.canvas_y(low)];
-        scene.outlined(
+        scene.outlined_area(
             VectorPath::rectangle(corners),
             Paint::Paper,
             Stroke::solid(mark.style.paint, 0.9),

@@ -145,7 +145,7 @@ fn role_of(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> Device
         }
         None => {}
     }
-    if outcome.failures.iter().any(|f| f.device == device) {
+    if outcome.duty_failures.iter().any(|f| f.device == device) {
         return DeviceRole::LackedEnergy;
     }
     match state {
@@ -329,7 +329,7 @@ impl ClassMarks {
 pub(super) fn draw_star(scene: &mut Scene, at: (f64, f64)) {
     let star = VectorPath::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
-    scene.outlined(star, Paint::Colour(VERMILION), border);
+    scene.outlined_area(star, Paint::Colour(VERMILION), border);
 }
 
 fn draw_cross(scene: &mut Scene, (x, y): (f64, f64), size: f64, stroke: Stroke) {
@@ -342,18 +342,18 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
     let (x, y) = at;
     let border = Stroke::solid(Paint::Ink, 0.5);
     match role {
-        DeviceRole::Reporter => scene.outlined(VectorPath::circle(at, 3.4), Paint::Colour(BLUE), border),
+        DeviceRole::Reporter => scene.outlined_area(VectorPath::circle(at, 3.4), Paint::Colour(BLUE), border),
         DeviceRole::Woken(_) => {
             let square = VectorPath::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
-            scene.outlined(square, Paint::Colour(GREEN), border);
+            scene.outlined_area(square, Paint::Colour(GREEN), border);
         }
         DeviceRole::LackedEnergy => draw_cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
         DeviceRole::NoReport => {
             let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
-            scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
+            scene.outlined_area(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
             draw_cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
         }
-        DeviceRole::Sensing => scene.outlined(
+        DeviceRole::Sensing => scene.outlined_area(
             VectorPath::circle(at, 2.8),
             Paint::Paper,
             Stroke::solid(Paint::Colour(BLUE), 1.2),

@@ -12,7 +12,7 @@ use reveille_lab::series::{self, RANKING};
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::floor;
 use super::note::Note;
-use super::pareto::{self, ENERGY_METRIC, GENIE, P1_METRIC, scales_from_zero};
+use super::pareto::{ENERGY_METRIC, GENIE, P1_METRIC, scales_from_zero, trade_off_point};
 use super::results::RunCondition;
 use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
@@ -136,7 +136,7 @@ fn policy_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<PolicyLine<'c>> {
     let mut lines: Vec<PolicyLine<'c>> = Vec::new();
     for condition in group {
         for name in condition.policies() {
-            let Some(point) = pareto::point(P1_METRIC, condition, name, n) else {
+            let Some(point) = trade_off_point(P1_METRIC, condition, name, n) else {
                 continue;
             };
             let setting = KnobSetting {

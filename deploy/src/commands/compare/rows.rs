@@ -97,7 +97,7 @@ fn format_block(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
             text,
             "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}",
             comparison.seeds,
-            format_number(comparison.mean),
+            format_number(comparison.compared_mean),
             format_number(comparison.reference_mean),
         );
     }

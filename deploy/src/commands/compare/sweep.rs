@@ -92,7 +92,7 @@ fn reference_policy<'r>(args: &'r CompareArgs, results: &'r Results) -> anyhow::
     let mut policies: Vec<&str> = results.conditions.iter().flat_map(RunCondition::policies).collect();
     let mut distinct = std::collections::BTreeSet::new();
     policies.retain(|policy| distinct.insert(*policy));
-    let reference = args.against.as_deref().or(results.tables[0].first_policy.as_deref());
+    let reference = args.against.as_deref().or(results.tables[0].first_series.as_deref());
     match (
         &args.against,
         policies.iter().find(|policy| Some(**policy) == reference),

@@ -4,7 +4,7 @@
 use reveille_lab::metric_estimate::MetricEstimate;
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
-use crate::figures::paired::{difference, paired_half_width};
+use crate::figures::paired::{difference_and_half_width, paired_half_width};
 use crate::figures::results::RunCondition;
 
 /// Largest value that counts as 0, as a share of the largest of the other policies' means. Part of rule 2 in [`super`].
@@ -161,7 +161,7 @@ fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) ->
 
 /// Computes the distance between two means with its interval, as in [`ratio`].
 fn gap(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
-    let (difference, half_width) = difference(own, theirs, pairs);
+    let (difference, half_width) = difference_and_half_width(own, theirs, pairs);
     let value = difference.abs();
     if half_width.is_nan() {
         return [value, 0.0, f64::INFINITY];
