@@ -230,8 +230,8 @@ pub(super) fn advise(
 }
 
 /// Returns, in this order, the part of a sentence that follows "missed events were", sentences about the energy of the
-/// devices, and the changes against `cause`. In a run with many device-TTIs of low energy, devices sleep to save energy,
-/// and more sensing would only empty them.
+/// devices, and the changes against `cause`. In a run with many device-TTIs of low energy, devices sleep to save
+/// energy, and more sensing would only empty them.
 fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let weakest = WeakestClass::new(scenario);

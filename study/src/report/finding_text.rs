@@ -156,8 +156,8 @@ fn describe_failures(claim: &Claim, findings: &[Finding]) -> Option<String> {
     (!failures.is_empty()).then(|| format!("It does not hold at {}.", join_names(&failures)))
 }
 
-/// Describes the largest step against a trend; `None` without such a step. `step` is measured from an earlier to a later
-/// finding.
+/// Describes the largest step against a trend; `None` without such a step. `step` is measured from an earlier to a
+/// later finding.
 fn describe_step_against(findings: &[Finding], step: impl Fn(&Finding, &Finding) -> f64) -> Option<String> {
     let precedes_in_trend = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));

@@ -556,7 +556,7 @@ fn each_ranking_has_a_column_and_the_preset_column_has_p42() {
 fn page_sections_have_every_claim_with_runs() {
     let results = small_results();
     let report = ClaimReport::new(&results);
-    let sections = super::markdown::page_sections(&report, "command");
+    let sections = super::markdown::report_sections(&report, "command");
     let body = |name: &str| {
         let section = sections.iter().find(|section| section.name == name);
         &section.expect("a section").body

@@ -1,4 +1,4 @@
-//! The search as Markdown: a whole file ([`markdown`]), sections of a page ([`page_sections`]), and the ranking as
+//! The search as Markdown: a whole file ([`markdown`]), sections of a page ([`search_sections`]), and the ranking as
 //! cells for the terminal. Section names are marks in `docs/reproduction.md`.
 
 use std::fmt::Write as _;
@@ -37,7 +37,7 @@ pub fn markdown(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> 
 }
 
 /// Renders the search as sections of a page, with the first `count` conditions and the presets.
-pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
+pub fn search_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
     // The text of a section from below its heading on.
     let untitled = |text: String| {
         demote_headings(

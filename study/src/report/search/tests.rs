@@ -207,7 +207,7 @@ fn page_sections_have_the_tables_of_the_whole_page() {
     let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
     let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let whole_page = markdown(&ranking, 5, "command");
-    for section in super::markdown::page_sections(&ranking, 5, "command") {
+    for section in super::markdown::search_sections(&ranking, 5, "command") {
         let rows = section.body.lines().filter(|line| line.starts_with("| "));
         assert!(rows.clone().all(|row| whole_page.contains(row)), "{}", section.name);
         assert!(
