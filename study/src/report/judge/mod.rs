@@ -12,8 +12,8 @@
 //!    by rule 2.
 //! 4. Otherwise its *order is reproduced* if, at each such N, our mean has the same order to every compared policy as
 //!    in the paper. A policy is compared if the paper states its order or ratio, or figures for both that all exclude
-//!    each other. At least one policy must be compared. A claim that is itself an order, an equality, a gap, a growth or
-//!    a trend is not compared.
+//!    each other. At least one policy must be compared. A claim that is itself an order, an equality, a gap, a growth
+//!    or a trend is not compared.
 //! 5. Otherwise it is *not reproduced*.
 //!
 //! A verdict is *firm* if it is the same for every value in our 95 % intervals.
