@@ -1,7 +1,7 @@
 //! Actions of operators in runs over the bus: scripted and live actions, killed device processes and base stations. The
 //! digest equals the replay in memory. `hostile_peer` tests that a stranger cannot act, `tests/tests/actions.rs` tests
-//! the effects of actions. Texts of actions come from `deploy/src/action_text.rs`, the grammar of scripts from
-//! docs/actions.md. The lines of `inputs.log` are a file format.
+//! the effects of actions. Texts of actions come from `common/src/message/action.rs`, the grammar of scripts
+//! from docs/actions.md. The lines of `inputs.log` are a file format.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::message::{Change, OperatorAction};

@@ -83,7 +83,7 @@ fn transitions_note_printed_forms_that_are_not_probabilities() {
         &folder,
         "transitions --policy random --devices 100 --ttis 400 --seeds 3",
     );
-    // The paper's ten transitions between S1 to S4.
+    // The ten transitions of Sec. IV.
     assert_eq!(rows(&findings, "transitions").len(), 10);
     let s1_probability_sum: f64 = rows(&findings, "transitions")
         .iter()
