@@ -57,7 +57,7 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
     write_file(&args.out, "search.md", markdown.as_bytes())?;
     insert_into_page(
         args.page.as_deref(),
-        &search_markdown::page_sections(&ranking, args.top, &command),
+        &search_markdown::search_sections(&ranking, args.top, &command),
     )?;
     Ok(ExitCode::SUCCESS)
 }
@@ -105,7 +105,10 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
         "report.html",
         html_page(&report, &svg_texts, &command).as_bytes(),
     )?;
-    insert_into_page(args.page.as_deref(), &report_markdown::page_sections(&report, &command))?;
+    insert_into_page(
+        args.page.as_deref(),
+        &report_markdown::report_sections(&report, &command),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -94,7 +94,7 @@ fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
 }
 
 fn caption(misses: &Misses) -> String {
-    let (missed, events) = (misses.missed.len(), misses.starts.len());
+    let (missed, events) = (misses.missed.len(), misses.counted_starts.len());
     let share_text = if events == 0 {
         "No event was counted.".to_owned()
     } else {

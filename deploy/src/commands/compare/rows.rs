@@ -28,7 +28,7 @@ impl DifferenceRow<'_> {
         let comparison = self.comparison;
         json!({
             "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": comparison.seeds,
-            "mean": comparison.mean, "against_mean": comparison.reference_mean, "difference": comparison.difference,
+            "mean": comparison.compared_mean, "against_mean": comparison.reference_mean, "difference": comparison.difference,
             "half_width": comparison.half_width, "paired": comparison.is_paired,
         })
     }

@@ -38,7 +38,7 @@ pub(super) fn run(args: &MissesArgs) -> anyhow::Result<ExitCode> {
     let device_rows = devices
         .as_ref()
         .map_or_else(|| Ok(BTreeMap::new()), |table| table.by_device())?;
-    let involved: Vec<InvolvedDevice> = misses.devices().into_iter().take(args.devices).collect();
+    let involved: Vec<InvolvedDevice> = misses.involved_devices().into_iter().take(args.devices).collect();
     let output = if args.json {
         json_report(&run, &misses, &actions, &involved, &device_rows)?.to_string() + "\n"
     } else {
@@ -60,7 +60,7 @@ fn json_report(
     let device_json = |device: &InvolvedDevice| {
         let mut object = json!({
             "device": device.device,
-            "missed": device.missed,
+            "missed": device.missed_count,
             "main_cause": cause_name(device.main_cause),
             "mean_distance_m": device.mean_distance_m,
         });
@@ -74,13 +74,13 @@ fn json_report(
     let bins = misses.bins(MAX_BINS).into_iter().map(|bin| {
         let by_cause = causes
             .iter()
-            .zip(&bin.missed)
+            .zip(&bin.missed_by_cause)
             .map(|((cause, _), count)| (cause_name(*cause), *count));
         json!({
             "first_tti": bin.first,
             "end_tti": bin.end,
             "events": bin.events,
-            "missed": bin.missed.iter().sum::<u64>(),
+            "missed": bin.missed_by_cause.iter().sum::<u64>(),
             "causes": by_cause.collect::<BTreeMap<_, _>>(),
         })
     });
@@ -89,7 +89,7 @@ fn json_report(
         "run": run.path(),
         "policy": misses.scenario.policy.name(),
         "n": misses.scenario.run.devices,
-        "events": misses.starts.len(),
+        "events": misses.counted_starts.len(),
         "missed": misses.missed.len(),
         "missed_pct": misses.missed_pct(),
         "missed_in_warm_up": misses.in_warm_up,
@@ -97,7 +97,7 @@ fn json_report(
         "first_actions": name_actions(actions),
         "missed_after_first_action": missed_after_first_action(actions, misses),
         "causes": by_cause.collect::<BTreeMap<_, _>>(),
-        "map": { "cell_m": map.cell_m, "missed": map.missed, "devices": map.devices },
+        "map": { "cell_m": map.cell_m, "missed": map.missed_counts, "devices": map.device_counts },
         "devices": involved.iter().map(device_json).collect::<anyhow::Result<Vec<_>>>()?,
         "bins": bins.collect::<Vec<_>>(),
         "advice": misses.advice().map(|advice| advice.to_string()),
@@ -122,7 +122,7 @@ fn text_report(
         misses.end.0.saturating_sub(1)
     );
     let mut text = wrap_text(&line, WIDTH) + "\n";
-    let (missed, events) = (misses.missed.len(), misses.starts.len());
+    let (missed, events) = (misses.missed.len(), misses.counted_starts.len());
     let warm_up = match misses.in_warm_up {
         0 => String::new(),
         count => format!("; {count} more in the warm-up, not counted"),
@@ -182,9 +182,9 @@ fn format_advice(advice: &Advice) -> String {
 /// Formats missed events and devices by place, next to each other and north up.
 fn format_map(map: &MissMap) -> String {
     let digits = map
-        .missed
+        .missed_counts
         .iter()
-        .chain(&map.devices)
+        .chain(&map.device_counts)
         .flatten()
         .max()
         .map_or(1, |most| most.to_string().len());
@@ -198,7 +198,7 @@ fn format_map(map: &MissMap) -> String {
             .trim_end_matches('.')
             .to_owned()
     };
-    let label_width = format_height(map.missed.len()).chars().count().max(4);
+    let label_width = format_height(map.missed_counts.len()).chars().count().max(4);
     let map_width = map.columns * (digits + 1);
     // Wide counts leave no room in one line for both maps, with their frames and the gap of fewer than 8 columns.
     let is_joint = label_width + 2 * map_width + 8 <= WIDTH;
@@ -210,18 +210,18 @@ fn format_map(map: &MissMap) -> String {
         let cells: String = counts.iter().map(format_cell).collect();
         format!("{:>label_width$} │{cells}", format_height(row))
     };
-    let rows = (0..map.missed.len()).rev();
+    let rows = (0..map.missed_counts.len()).rev();
     let heads = ["missed", "devices"].map(|head| format!("{head:<map_width$}"));
     let mut text = title + "\n";
     if is_joint {
         let _infallible = writeln!(text, "{:>label_width$}  {}     {}", "m", heads[0], heads[1].trim_end());
         for row in rows {
-            let devices: String = map.devices[row].iter().map(format_cell).collect();
-            let _infallible = writeln!(text, "{}    │{devices}", format_row(row, &map.missed[row]));
+            let devices: String = map.device_counts[row].iter().map(format_cell).collect();
+            let _infallible = writeln!(text, "{}    │{devices}", format_row(row, &map.missed_counts[row]));
         }
         return text;
     }
-    for (head, counts) in heads.iter().zip([&map.missed, &map.devices]) {
+    for (head, counts) in heads.iter().zip([&map.missed_counts, &map.device_counts]) {
         let _infallible = writeln!(text, "{:>label_width$}  {}", "m", head.trim_end());
         for row in rows.clone() {
             let _infallible = writeln!(text, "{}", format_row(row, &counts[row]));
@@ -253,13 +253,15 @@ fn format_bins(misses: &Misses) -> String {
     text += &format_row("events", &mut bins.iter().map(|bin| bin.events.to_string()));
     text += &format_row(
         "missed",
-        &mut bins.iter().map(|bin| bin.missed.iter().sum::<u64>().to_string()),
+        &mut bins
+            .iter()
+            .map(|bin| bin.missed_by_cause.iter().sum::<u64>().to_string()),
     );
     if causes.len() > 1 {
         for (index, (cause, _)) in causes.iter().enumerate() {
             text += &format_row(
                 cause_name(*cause),
-                &mut bins.iter().map(|bin| bin.missed[index].to_string()),
+                &mut bins.iter().map(|bin| bin.missed_by_cause[index].to_string()),
             );
         }
     }
@@ -285,7 +287,7 @@ fn format_devices(involved: &[InvolvedDevice], device_rows: &BTreeMap<DeviceId, 
             text,
             "{:>6} {:>7} {:<12} {:>7.2} {battery:>8} {low:>7} {unpaid:>7} {unpowered:>9} {outage:>7}",
             device.device.to_string(),
-            device.missed,
+            device.missed_count,
             cause_name(device.main_cause),
             device.mean_distance_m
         );

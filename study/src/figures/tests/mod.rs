@@ -551,7 +551,7 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
     );
     let causes = MissCause::ALL.map(Some).into_iter().chain([None]);
     for (number, cause) in (0_u64..).zip(causes) {
-        run_misses.starts.push(Tti(1000 + number));
+        run_misses.counted_starts.push(Tti(1000 + number));
         for event in 0..=number {
             run_misses.missed.push(MissedEvent {
                 event,
