@@ -76,7 +76,7 @@ impl Arrays {
         let mut ended = self.ended.bind(py).try_readwrite()?;
         let buffers = BatchBuffers {
             device_features: device_features.as_slice_mut()?,
-            global: global_features.as_slice_mut()?,
+            global_features: global_features.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
             mask: mask.as_slice_mut()?,
             reward: reward.as_slice_mut()?,

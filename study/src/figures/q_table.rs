@@ -422,7 +422,7 @@ fn wake_map(table: &WakeTable, report_bucket: usize) -> HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
         y_label: "score of the best candidate / Ψ".to_owned(),
         columns: vec![(String::new(), INFORMATION_LIMITS.map(format_short).to_vec())],
-        rows: RowLabels::Ends((0..=SCORE_BUCKETS).map(limit_label).collect()),
+        rows: RowLabels::Limits((0..=SCORE_BUCKETS).map(limit_label).collect()),
         cells: (0..SCORE_BUCKETS).map(row).collect(),
     }
 }
