@@ -341,7 +341,7 @@ impl TuningProgress for TuningDisplay {
         }
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

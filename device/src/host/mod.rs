@@ -329,7 +329,7 @@ impl HostShared {
     }
 
     fn on_grant(&self, grant: GrantMessage) {
-        let Some((state, task)) = self.take_task(|follower| follower.receive_grant(grant)) else {
+        let Some((state, task)) = self.accept_request(|follower| follower.receive_grant(grant)) else {
             return;
         };
         let GrantTask {
@@ -375,7 +375,7 @@ impl HostShared {
     }
 
     fn on_collect_ledgers(&self, end: Tti) {
-        let Some((state, ())) = self.take_task(|follower| follower.receive_collect_ledgers(end)) else {
+        let Some((state, ())) = self.accept_request(|follower| follower.receive_collect_ledgers(end)) else {
             return;
         };
         let round = self.open_round(state, HostRequest::Ledgers, self.mailboxes.len());
@@ -385,9 +385,9 @@ impl HostShared {
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
 
-    /// Returns the task of a request, if any, with the state still locked; [`Self::open_round`] releases it. A repeated
-    /// request gets the same answer again.
-    fn take_task<T>(
+    /// Accepts a request for the clock: returns the task of a new one, with the state still locked until
+    /// [`Self::open_round`]. A repeated request gets its earlier answer again, and has no task.
+    fn accept_request<T>(
         &self,
         follow: impl FnOnce(&mut GrantFollower) -> Disposition<T>,
     ) -> Option<(MutexGuard<'_, HostState>, T)> {

@@ -95,7 +95,7 @@ impl TuningProgress for StopInPoint {
         self.current_point.store(number, Ordering::Relaxed);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.current_point.load(Ordering::Relaxed) >= self.point_number
     }
 }

@@ -196,10 +196,11 @@ impl ComparedRun {
                 torn: None,
             }),
             (Source::Folder(own_reader), Source::Folder(other_reader)) => {
-                let tables = (own_reader.table(EVENTS_FILE)?, other_reader.table(EVENTS_FILE)?);
-                let (Some(own_events), Some(other_events)) = tables else {
-                    bail!("{}, {}: no {EVENTS_FILE}; repeat the run", self.name(), other.name());
+                let events_of = |reader: &RunReader| {
+                    let missing = || format!("{}: no {EVENTS_FILE}; repeat the run", reader.path().display());
+                    reader.table(EVENTS_FILE)?.with_context(missing)
                 };
+                let (own_events, other_events) = (events_of(own_reader)?, events_of(other_reader)?);
                 Ok(Difference {
                     is_equal: false,
                     text: first_event_difference(&own_events, &other_events, other_number)?,

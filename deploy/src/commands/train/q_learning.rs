@@ -127,7 +127,7 @@ impl TrainingProgress for TrainingDisplay {
         self.bar.inc(1);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }
