@@ -75,12 +75,12 @@ impl Arrays {
         let mut ttis = self.ttis.bind(py).try_readwrite()?;
         let mut ended = self.ended.bind(py).try_readwrite()?;
         let buffers = BatchBuffers {
-            devices: device_features.as_slice_mut()?,
-            global: global_features.as_slice_mut()?,
+            device_features: device_features.as_slice_mut()?,
+            global_features: global_features.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
             mask: mask.as_slice_mut()?,
             reward: reward.as_slice_mut()?,
-            parts: reward_terms.as_slice_mut()?,
+            reward_terms: reward_terms.as_slice_mut()?,
             ttis: ttis.as_slice_mut()?,
             ended: ended.as_slice_mut()?,
         };
@@ -142,7 +142,7 @@ impl PyEnvBatch {
         let inner = py.detach(|| gym::EnvBatch::new(&scenarios, weights, threads));
         let inner = inner.map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         let batch = Self {
-            arrays: Arrays::new(py, seeds.len(), inner.devices()),
+            arrays: Arrays::new(py, seeds.len(), inner.device_count()),
             inner: Mutex::new(inner),
             source,
             set,
@@ -160,7 +160,7 @@ impl PyEnvBatch {
         let scenario = read_external(py, &self.source, &set)?;
         let (batch_size, device_count) = {
             let inner = self.lock();
-            (inner.len(), inner.devices())
+            (inner.len(), inner.device_count())
         };
         if scenario.run.devices as usize != device_count {
             let cause = format!("the environment has {device_count} devices, and its spaces cannot change");
@@ -192,7 +192,7 @@ impl PyEnvBatch {
         let shape = [actions.shape()[0], actions.shape()[1], is_resting.shape()[0]];
         let expected = {
             let inner = self.lock();
-            [inner.len(), inner.devices(), inner.len()]
+            [inner.len(), inner.device_count(), inner.len()]
         };
         if shape != expected {
             let [k, n, _] = expected;
@@ -237,7 +237,7 @@ impl PyEnvBatch {
             let mut inner = self.lock();
             Self::check_index(index, inner.len())?;
             // The arrays have the shape of the first scenario.
-            if environment.template().scenario().run.devices as usize != inner.devices() {
+            if environment.template().scenario().run.devices as usize != inner.device_count() {
                 return Err(PyValueError::new_err("the snapshot has another number of devices"));
             }
             inner.replace(index, environment);
@@ -261,7 +261,7 @@ impl PyEnvBatch {
     /// Number of devices N.
     #[getter]
     fn n(&self) -> usize {
-        self.lock().devices()
+        self.lock().device_count()
     }
 
     /// Length of a run of environment 0, TTIs.

@@ -34,7 +34,7 @@ use crate::scenarios::{read_external_silently, read_with_builtin_policy, value_e
 const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Converts `outcome` to a dictionary. `python/reveille/vector.py` repeats its keys, and a key missing there makes the
-/// last step of an environment fail.
+/// last step of a vector environment fail.
 pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &RunOutcome) -> PyResult<Bound<'py, PyDict>> {
     let metrics = PyDict::new(py);
     for (name, value, _) in outcome.metrics.rows() {
@@ -102,7 +102,7 @@ impl SweepProgress for StopFlag<'_> {
     fn started(&self, _: usize) {}
     fn finished(&self, _: usize) {}
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
