@@ -134,7 +134,7 @@ pub struct Trainer {
 impl Trainer {
     /// Creates a training for each of `lookbacks`, or for the scenario's if the slice is empty, and each N of
     /// `devices`. It uses the scenario's area, weights and seed; `config` sets the rest, except that its seed is
-    /// ignored. The caller checks `config.ttis` against [`Scenario::max_ttis`] with the largest N.
+    /// ignored. The caller checks `config.ttis` against `Scenario::max_ttis` with the largest N.
     ///
     /// # Errors
     /// If the policy is not `q-learning`, or a number is out of range.
