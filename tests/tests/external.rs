@@ -113,7 +113,8 @@ fn external_decisions_of_a_policy_give_its_digest() {
             "adjusted" => &["policy.adjusted.pilot_ttis=300", "policy.adjusted.t_drx=[8]"],
             _ => &[],
         };
-        let (transcript, expected_digest) = CommandTranscript::of(&built_in(policy, &[fields, policy_fields].concat()));
+        let (transcript, expected_digest) =
+            CommandTranscript::record(&built_in(policy, &[fields, policy_fields].concat()));
         ttis_with_wake_ups += transcript.wake_ups.len();
         let scenario = external(fields);
         for (options, max_wake_ups) in [
@@ -134,11 +135,11 @@ fn external_decisions_of_a_policy_give_its_digest() {
 /// A plan without an end is requested once, and the run is the same.
 #[test]
 fn an_unlimited_plan_is_not_requested_again() {
-    let (transcript, expected_digest) = CommandTranscript::of(&built_in("knn", &[]));
+    let (transcript, expected_digest) = CommandTranscript::record(&built_in("knn", &[]));
     let mut run = stepped_run(&external(&[]), RunOptions::default());
     let mut plan_requests = 0;
     while let Some(request) = run.pending_decision() {
-        match transcript.answer(request.stage, request.observation.now, |j| request.may_wake(j)) {
+        match transcript.decision(request.stage, request.observation.now, |j| request.may_wake(j)) {
             Decision::Plan(PlanDecision { plan, .. }) => {
                 plan_requests += 1;
                 let next = Tti::NEVER;

@@ -20,7 +20,7 @@ proptest! {
     #![proptest_config(Config { cases: 300, failure_persistence: None, ..Config::default() })]
 
     #[test]
-    fn ledgers_balance_in_every_tti(text in scenarios::any_policy()) {
+    fn ledgers_balance_in_every_tti(text in scenarios::small_or_q_learning()) {
         let scenario = scenarios::scenario(&text);
         // A false wake-up, and a wake-up that comes too late.
         let fruitless = [scenario.radio.false_wake_up > 0.0, scenario.radio.wake_latency > 0];
@@ -34,7 +34,7 @@ proptest! {
     }
 
     #[test]
-    fn states_follow_delta_and_the_battery(text in scenarios::any_policy()) {
+    fn states_follow_delta_and_the_battery(text in scenarios::small_or_q_learning()) {
         let scenario = scenarios::scenario(&text);
         each_tti(&scenario, |tti| {
             for device in &tti.devices {
@@ -83,7 +83,10 @@ proptest! {
     }
 
     #[test]
-    fn results_depend_neither_on_lookahead_nor_on_windows(text in scenarios::any_policy(), window in 1..50u64) {
+    fn results_depend_neither_on_lookahead_nor_on_windows(
+        text in scenarios::small_or_q_learning(),
+        window in 1..50u64,
+    ) {
         let scenario = scenarios::scenario(&text);
         let (expected_outcome, expected_events) = compare::outcome(&scenario, compare::ONE_TTI_PER_GRANT);
         // With a window per TTI every device advances in every TTI; without windows a sleeping device advances only
