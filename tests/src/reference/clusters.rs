@@ -4,6 +4,7 @@
 
 use std::f64::consts::PI;
 
+use reveille_bs::beliefs::clusters::ClusterSettings;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::Stream;
 
@@ -13,7 +14,7 @@ const MAX_VOTING_ROUNDS: usize = 100;
 const MAX_SPLIT_ROUNDS: usize = 10;
 
 /// Computes the clusters of devices at `points`: devices in the order of numbers, clusters by their first device.
-/// `stream` must be new, with `Purpose::Clusters`.
+/// `stream` must be new, with `Purpose::Clusters`. Without neighbours no device moves.
 ///
 /// M = ⌈ξ/(π d_max²)⌉ centres, with ξ the size of the area, are drawn from the devices, the first uniformly. Each other
 /// centre is drawn with probability proportional to its squared distance from the nearest centre so far. Every device
@@ -25,12 +26,14 @@ pub fn clusters(
     points: &[Point],
     area: Area,
     d_max: f64,
-    (neighbours, limit_radius): (usize, bool),
+    settings: ClusterSettings,
     stream: Stream,
 ) -> Vec<Vec<usize>> {
     let centre_count = (area.width * area.height / (PI * d_max * d_max)).ceil() as usize;
     let mut voting = ReferenceVoting::start(points, centre_count.max(1).min(points.len()), stream);
-    let voters: Vec<Vec<usize>> = (0..points.len()).map(|j| nearest(points, j, neighbours)).collect();
+    let voters: Vec<Vec<usize>> = (0..points.len())
+        .map(|j| nearest(points, j, settings.neighbours as usize))
+        .collect();
     for _ in 0..MAX_VOTING_ROUNDS {
         let previous_voting = voting.clone();
         voting.vote(&voters);
@@ -41,7 +44,7 @@ pub fn clusters(
     let mut formed_clusters: Vec<Vec<usize>> = (0..voting.centroids.len())
         .map(|cluster| voting.members(cluster))
         .collect();
-    if limit_radius {
+    if settings.limit_radius {
         formed_clusters = formed_clusters
             .into_iter()
             .flat_map(|cluster| split(points, cluster, d_max))

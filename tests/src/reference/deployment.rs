@@ -13,8 +13,8 @@ pub(super) struct ReferenceDeployment {
     pub(super) positions: Vec<Point>,
     /// Indices in `Scenario::classes`.
     pub(super) classes: Vec<u16>,
-    /// Whether devices harvest from their traces and the sun. Otherwise, as in pilot runs, they harvest what the base
-    /// station expects (`ReferenceSource::with_known_harvest`).
+    /// Whether devices harvest from their traces and the sun. Otherwise, as in pilot runs, they harvest the energy that
+    /// the base station expects (`ReferenceSource::with_known_harvest`).
     pub(super) plays_traces: bool,
 }
 

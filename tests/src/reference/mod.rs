@@ -1,6 +1,7 @@
-//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only data
-//! types, the scenario, positions, classes and random streams with the emulator, and draws from the streams in the same
-//! order. A change of results in the emulator needs the same change here. `tests/tests/` compares both.
+//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares with the
+//! emulator only data types, the scenario, positions, classes, and random streams with their distributions. It draws
+//! from the streams in the same order. A change of results in the emulator needs the same change here. `tests/tests/`
+//! compares both.
 //!
 //! [`simulate`] runs whole scenarios under `knn`, `random`, `genie` and `adjusted` with `bs.ranking = p42`. It has
 //! operator actions, but no external decisions and no lost processes. Of `age-index` and `q-learning` only the choice

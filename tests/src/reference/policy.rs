@@ -3,6 +3,7 @@
 
 use std::f64::consts::PI;
 
+use reveille_bs::beliefs::clusters::ClusterSettings;
 use reveille_bs::policy::knn::KnnSettings;
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
@@ -119,7 +120,10 @@ impl ReferencePolicy {
                     positions,
                     scenario.area,
                     scenario.sensing.d_max,
-                    (settings.neighbours as usize, settings.limit_radius),
+                    ClusterSettings {
+                        neighbours: settings.neighbours,
+                        limit_radius: settings.limit_radius,
+                    },
                     Stream::new(scenario.run.seed, Purpose::Clusters, 0),
                 );
                 Self::Knn {
