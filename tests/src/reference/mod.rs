@@ -43,7 +43,7 @@ use world::play;
 /// Runs `scenario` on the reference implementation.
 ///
 /// # Panics
-/// If its policy is none of `knn`, `random`, `genie` and `adjusted`.
+/// If its policy is not `knn`, `random`, `genie` or `adjusted`.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {
     simulate_with_actions(scenario, &[])
 }
