@@ -57,7 +57,7 @@ fn up_in_a_closed_terminal_ends_with_partial_results() {
     let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG_RUN} --out out --run {run}")));
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
-    let shown = up.shown();
+    let shown = up.output();
     assert!(
         !shown.contains(" 0 TTIs/s") && !shown.contains("joining: 0 of"),
         "{shown}"
@@ -78,7 +78,7 @@ fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     bs.wait_for("TTIs/s");
     let status = close_terminal(&mut bs);
     assert_interrupted(&folder, status);
-    assert!(device.finish_within(END_LIMIT).success(), "{}", device.shown());
+    assert!(device.finish_within(END_LIMIT).success(), "{}", device.output());
 
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());

@@ -28,7 +28,7 @@ pub const SHORT_RUN: &str = "-n 30 -k 400";
 pub fn run_built_in(policy: &str, fields: &[&str]) -> (CommandTranscript, String) {
     let policy = format!("policy.name={policy}");
     let fields = [&[policy.as_str(), "devices=30", "ttis=400"], fields].concat();
-    let (transcript, digest) = CommandTranscript::of(&paper(&fields));
+    let (transcript, digest) = CommandTranscript::record(&paper(&fields));
     (transcript, digest.to_string())
 }
 
@@ -45,7 +45,7 @@ pub fn answer_from(transcript: &CommandTranscript, request: &DecisionRequest) ->
         RequestKind::Wake => DecisionStage::Wake,
         RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
     };
-    transcript.answer(stage, Tti(request.head.tti), |DeviceId(j)| {
+    transcript.decision(stage, Tti(request.head.tti), |DeviceId(j)| {
         // The transcript holds all wake-ups of the TTI, also of devices that earlier answers have woken.
         request.action_mask.0[j as usize] == MAY_WAKE
     })

@@ -1,4 +1,4 @@
-//! Shared support for the tests of the whole product.
+//! Shared support for the tests of the crates (`tests/tests/`) and of the program (`tests/program/`).
 //!
 //! [`mod@reference`] is a second implementation of the model, written from its description and not from the emulator's
 //! code. [`scenarios`] generates random scenarios for property tests. [`compare`] runs the emulator for comparison with

@@ -1,5 +1,5 @@
-//! Runs the `reveille` command as users do. Every wait here has a time limit, and a process that a test starts is
-//! killed when the test drops it.
+//! Runs the `reveille` command as users do, for `tests/program/`. Every wait here has a time limit and panics after it.
+//! A process that a test starts is killed when the test drops it. Linux only: states of processes come from `/proc`.
 
 use std::fs;
 use std::io::Read;
@@ -17,7 +17,7 @@ use serde_json::Value;
 /// Time limit for anything that should end without help. Generous: it only bounds the duration of a failing test.
 pub const PATIENCE: Duration = Duration::from_mins(2);
 
-/// CPU time after which a process counts as working, in hundredths of a second.
+/// CPU time after which a process counts as working, in ticks of `/proc` (hundredths of a second).
 const WORKING_TICKS: u64 = 20;
 
 /// Interval between two checks of a condition.
@@ -88,7 +88,8 @@ impl TestFolder {
         path
     }
 
-    /// Returns the command `reveille ARGS` with this folder as working directory.
+    /// Returns the command `reveille ARGS` with this folder as working directory. Arguments are separated by white
+    /// space and not quoted; add an argument that contains a space with [`Command::arg`].
     pub fn command(&self, args: &str) -> Command {
         let mut command = Command::new(reveille());
         command
@@ -100,12 +101,18 @@ impl TestFolder {
         command
     }
 
-    /// Starts `reveille ARGS` in this folder. Arguments are separated by spaces.
+    /// Starts `reveille ARGS` in this folder, as [`Self::command`] describes.
+    ///
+    /// # Panics
+    /// If the program is missing or cannot be started.
     pub fn start(&self, args: &str) -> Process {
         Process::start(&mut self.command(args))
     }
 
-    /// Runs `reveille ARGS` in this folder and waits for its end.
+    /// Runs `reveille ARGS` in this folder and waits for its end. It may fail.
+    ///
+    /// # Panics
+    /// If the program cannot be started or does not end within [`PATIENCE`].
     pub fn run(&self, args: &str) -> FinishedProcess {
         self.start(args).finish()
     }
@@ -118,7 +125,7 @@ impl TestFolder {
         self.run(&format!("{args} --json")).summary()
     }
 
-    /// Sends a command to the clock of `run` and returns the answer.
+    /// Runs `reveille clock --run RUN COMMAND` and returns its standard output.
     ///
     /// # Panics
     /// If the command fails.
@@ -135,7 +142,7 @@ impl TestFolder {
     pub fn wait_for_tti(&self, run: &str, tti: u64) -> u64 {
         wait_until(&format!("run {run} to pass TTI {tti}"), PATIENCE, || {
             let status = self.run(&format!("clock --run {run} status")).stdout;
-            // Such as `running at TTI 9 of 60`.
+            // Such as `running at TTI 9 of 60`, the text of `ClockStatus` in `common/src/message/control.rs`.
             let mut words = status.split_whitespace().skip_while(|&word| word != "TTI");
             // The status also shows TTI 0 before the devices have joined.
             let has_begun = !status.starts_with("joining");
@@ -155,8 +162,11 @@ impl TestFolder {
         });
     }
 
-    /// Starts a base station with the run of `SHORT_RUN` in `external_policy.rs`, and waits until device processes can
-    /// join.
+    /// Starts `reveille bs` with the options of `SHORT_RUN` in `external_policy.rs` and `args`, and waits until device
+    /// processes can join. The awaited text is a note of `deploy/src/commands/bs.rs`.
+    ///
+    /// # Panics
+    /// If the base station does not wait for devices in time.
     pub fn start_waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
         let bs = self.start(&format!("bs -n 30 -k 400 --run {run} --listen {endpoint} {args}"));
         bs.wait_for_stderr("waiting for 30 devices");
@@ -171,10 +181,10 @@ impl TestFolder {
         fs::read(self.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// Counts the finished runs in the journal of the sweep in subfolder `out`.
+    /// Counts the finished runs in the journal of the sweep in subfolder `out`; 0 without a journal.
     pub fn count_finished_runs(&self, out: &str) -> usize {
         let text = fs::read_to_string(self.join(&format!("{out}/runs.journal"))).unwrap_or_default();
-        // The first line names the sweep.
+        // The first line names the sweep (`lab/src/sweep/journal/mod.rs`).
         text.matches('\n').count().saturating_sub(1)
     }
 
@@ -225,13 +235,14 @@ impl Output {
         output
     }
 
+    /// Output up to now.
     fn so_far(&self) -> String {
         String::from_utf8_lossy(&self.lock()).into_owned()
     }
 
     /// Waits until all writers have closed the stream and returns everything. A child that outlives its parent holds it
     /// open.
-    fn all(&self) -> String {
+    fn complete(&self) -> String {
         wait_until("the end of a process's output", PATIENCE, || {
             self.is_closed.load(Ordering::Acquire).then_some(())
         });
@@ -309,13 +320,13 @@ impl Process {
     /// # Panics
     /// If the condition is not met in time.
     pub fn wait_for_work(&self) {
-        let before = self.cpu_ticks();
+        let ticks_before = self.cpu_ticks();
         wait_until("the process to work", PATIENCE, || {
-            (self.cpu_ticks() >= before + WORKING_TICKS).then_some(())
+            (self.cpu_ticks() >= ticks_before + WORKING_TICKS).then_some(())
         });
     }
 
-    /// CPU time used by the process, in hundredths of a second.
+    /// CPU time used by the process so far, in ticks as [`WORKING_TICKS`]; 0 after its end.
     fn cpu_ticks(&self) -> u64 {
         let line = fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
         // The process name before these fields can contain spaces and parentheses.
@@ -352,8 +363,8 @@ impl Process {
         };
         FinishedProcess {
             status,
-            stdout: self.stdout.all(),
-            stderr: self.stderr.all(),
+            stdout: self.stdout.complete(),
+            stderr: self.stderr.complete(),
         }
     }
 }
@@ -408,23 +419,23 @@ impl std::fmt::Display for FinishedProcess {
 }
 
 /// Checks that the process ended with this exit code and an error that contains all of `parts`. With exit code 1, which
-/// is not a usage error, the message has to be one paragraph.
+/// is not a usage error, standard error must be one line that starts with `reveille: `.
 ///
 /// # Panics
 /// If the process ended in any other way.
-pub fn assert_refused(end: &FinishedProcess, code: i32, parts: &[&str]) {
-    assert_eq!(end.code(), Some(code), "{end}");
+pub fn assert_refused(finished: &FinishedProcess, code: i32, parts: &[&str]) {
+    assert_eq!(finished.code(), Some(code), "{finished}");
     for part in parts {
-        assert!(end.stderr.contains(part), "no {part:?}: {end}");
+        assert!(finished.stderr.contains(part), "no {part:?}: {finished}");
     }
-    assert!(!end.stderr.contains("panicked"), "{end}");
+    assert!(!finished.stderr.contains("panicked"), "{finished}");
     if code == 1 {
-        assert!(end.stderr.starts_with("reveille: "), "{end}");
-        assert_eq!(end.stderr.trim().lines().count(), 1, "one paragraph: {end}");
+        assert!(finished.stderr.starts_with("reveille: "), "{finished}");
+        assert_eq!(finished.stderr.trim().lines().count(), 1, "one paragraph: {finished}");
     }
 }
 
-/// Contents of a `summary.json`.
+/// Contents of a `summary.json`, also printed by `--json`. Its fields are defined in `deploy/src/summary.rs`.
 #[derive(Clone, Debug)]
 pub struct SummaryJson(Value);
 
@@ -477,7 +488,7 @@ impl SummaryJson {
     /// Value of the metric `name`.
     ///
     /// # Panics
-    /// If the value is missing.
+    /// If the value is missing, or null because the metric is not defined in this run.
     pub fn metric(&self, name: &str) -> f64 {
         let value = &self.0["metrics"][name];
         value
@@ -502,14 +513,14 @@ pub fn wait_for_handler(pid: u32, signal: Signal) {
 /// Waits until `poll` returns a value.
 ///
 /// # Panics
-/// If `poll` returns no value within `patience`; `what` names the awaited condition.
-pub fn wait_until<T>(what: &str, patience: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
+/// If `poll` returns no value within `patience`; the panic message names the `condition`.
+pub fn wait_until<T>(condition: &str, patience: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
     let deadline = now() + patience;
     loop {
         if let Some(value) = poll() {
             return value;
         }
-        assert!(now() < deadline, "waited {patience:?} for {what}");
+        assert!(now() < deadline, "waited {patience:?} for {condition}");
         std::thread::sleep(POLL_INTERVAL);
     }
 }
@@ -549,23 +560,23 @@ pub fn is_alive(pid: u32) -> bool {
     fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| !line.is_empty())
 }
 
-/// Returns the ids of the live `reveille device` processes of a run, found by command line. Zombie processes have none.
+/// Returns the ids of the live `reveille device` processes of a run, found by command line. Zombies are not included.
 /// The run must be one argument, `--run=RUN`, as `deploy/src/child_process.rs` writes it.
 pub fn hosts_of(run: &str) -> Vec<u32> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-    let mut hosts: Vec<u32> = pids.filter(|&pid| is_host_of(pid, run)).collect();
-    hosts.sort_unstable();
-    hosts
+    let mut host_pids: Vec<u32> = pids.filter(|&pid| is_host_of(pid, run)).collect();
+    host_pids.sort_unstable();
+    host_pids
 }
 
 fn is_host_of(pid: u32, run: &str) -> bool {
-    let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-    let args: Vec<&[u8]> = line.split(|&byte| byte == 0).collect();
+    let command_line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+    let args: Vec<&[u8]> = command_line.split(|&byte| byte == 0).collect();
     args.get(1) == Some(&&b"device"[..]) && args.contains(&format!("--run={run}").as_bytes())
 }
 
-/// Returns a run name that no other test uses.
+/// Returns a run name that starts with `name` and that no other test uses.
 pub fn unique_run(name: &str) -> String {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);

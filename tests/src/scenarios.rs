@@ -1,5 +1,7 @@
 //! Random small scenarios as TOML text, which the emulator loads like any scenario file, and the preset `paper` with
-//! given fields. A test in `tests/tests/reference.rs` checks how often the scenarios cover each case.
+//! given fields. After a change of a range or weight here, `random_scenarios_cover_every_case` in
+//! `tests/tests/reference.rs` must pass: it checks how often [`small`] and [`crowded`] cover each case.
+//! `tests/tests/analysis.rs` and `ledger.rs` rely on limits that the functions here state.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,8 +14,8 @@ use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::Energy;
 
 /// Folder of the files that random scenarios name. `energy.csv` holds units per TTI. `points.csv` is a layout within
-/// the smallest random area and has two devices at the same place; it has a point for each of the at most 12 devices.
-/// `tests/tests/closed_forms.rs` repeats the values of `energy.csv`.
+/// the smallest random area (4 m × 4 m) and has two devices at the same place; it has a point for each of the at most
+/// 12 devices. `tests/tests/closed_forms.rs` repeats the values of `energy.csv`.
 const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
 
 /// Parses overrides of the form `field=value`.
@@ -51,9 +53,9 @@ pub fn scenario_with_warnings(text: &str) -> Loaded {
 }
 
 /// Draws a script of 1 to 12 actions that `scenario` allows, in the order of TTIs. An action takes over the TTI of the
-/// action drawn before it with probability 0.3.
-pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
-    // Runs do not draw from this stream.
+/// action drawn before it with probability 0.3. The price is set only under `age-index`.
+pub fn draw_actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
+    // Only training and tests draw from this stream, no run does.
     let mut stream = Stream::new(seed, Purpose::Training, 0);
     let ttis = scenario.run.ttis;
     let mut actions: Vec<OperatorAction> = Vec::new();
@@ -81,55 +83,65 @@ pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
     actions
 }
 
-/// Generates a small scenario with a policy that [`simulate`](crate::reference::simulate) runs.
+/// Generates a small scenario with a policy that [`simulate`](crate::reference::simulate) runs. It has at most 12
+/// devices and 200 TTIs.
 pub fn small() -> impl Strategy<Value = String> {
     let sections = (
         run_fields(),
-        deployment(),
-        events(),
-        radio(),
-        policy(),
-        energy_and_harvest(),
+        deployment_sections(),
+        event_sections(),
+        radio_section(),
+        policy_sections(),
+        energy_and_harvest_sections(),
     );
     sections.prop_map(|(run, deployment, events, radio, policy, energy)| {
         format!("{run}{deployment}{events}{radio}{policy}{energy}")
     })
 }
 
-/// Generates a small scenario with the policy `name` and a perfect radio. Only the policies of [`small`] have drawn
-/// settings.
+/// Generates a small scenario with the policy `name` and a perfect radio. Only `knn` and `adjusted` have drawn
+/// settings; a caller can append the section of another policy.
 pub fn small_with_policy(name: &'static str) -> impl Strategy<Value = String> {
-    (run_fields(), deployment(), events(), policy(), energy_and_harvest()).prop_map(
-        move |(run, deployment, events, policy, energy)| {
-            // The first two lines are `[policy]` and the drawn name.
+    (
+        run_fields(),
+        deployment_sections(),
+        event_sections(),
+        policy_sections(),
+        energy_and_harvest_sections(),
+    )
+        .prop_map(move |(run, deployment, events, policy, energy)| {
+            // The first two lines are `[policy]` and the drawn name, which is not used.
             let settings = policy.splitn(3, '\n').nth(2).unwrap_or_default();
             format!("{run}{deployment}{events}[policy]\nname = \"{name}\"\n{settings}{energy}")
-        },
-    )
+        })
 }
 
 /// Generates a small scenario with a policy of [`small`], or with `q-learning`, which
 /// [`simulate`](crate::reference::simulate) does not run.
-pub fn any_policy() -> impl Strategy<Value = String> {
+pub fn small_or_q_learning() -> impl Strategy<Value = String> {
     prop_oneof![3 => small().boxed(), 1 => with_q_learning().boxed()]
 }
 
-/// Generates a small scenario with a perfect radio and so much energy that no device ever lacks it.
+/// Generates a small scenario with a perfect radio and so much energy that no device ever lacks it: with the default
+/// costs a device spends at most 11 units in a TTI, so 10 000 units last for the at most 200 TTIs.
 pub fn with_ample_energy() -> impl Strategy<Value = String> {
-    (run_fields(), deployment(), events(), policy()).prop_map(|(run, deployment, events, policy)| {
-        format!("{run}{deployment}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
-    })
+    (run_fields(), deployment_sections(), event_sections(), policy_sections()).prop_map(
+        |(run, deployment, events, policy)| {
+            format!("{run}{deployment}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
+        },
+    )
 }
 
-/// Generates a scenario in which `knn` often wakes several devices: they are close together and most can answer.
+/// Generates a scenario in which `knn` often wakes several devices: they are close together and most can answer. The
+/// radio is perfect. It shares no section with [`small`] and can have up to 30 devices.
 pub fn crowded() -> impl Strategy<Value = String> {
-    let size = (6..=30u32, 1..=80u64, seed());
-    let lengths = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
+    let size = (6..=30u32, 1..=80u64, any_seed());
+    let metres_and_eta = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
     let layout = prop_oneof![Just("uniform"), Just("jittered-grid"), Just("poisson-disk")];
     let fusion = prop_oneof![3 => Just("max"), 1 => Just("sum-saturation")];
     let knn = (1..=6u32, any::<bool>());
     let initial = prop_oneof![Just(2.0), Just(50.0), Just(1000.0)];
-    (size, lengths, layout, fusion, knn, initial).prop_map(
+    (size, metres_and_eta, layout, fusion, knn, initial).prop_map(
         |((devices, ttis, seed), (width, height, d_max, eta), layout, fusion, (neighbours, limit_radius), initial)| {
             format!(
                 "devices = {devices}\nttis = {ttis}\nseed = {seed}\n[area]\nwidth = {width:?}\nheight = {height:?}\n\
@@ -142,16 +154,16 @@ pub fn crowded() -> impl Strategy<Value = String> {
 }
 
 /// Generates a seed of 63 bits, since numbers in TOML are signed.
-fn seed() -> impl Strategy<Value = u64> {
+fn any_seed() -> impl Strategy<Value = u64> {
     any::<u64>().prop_map(|bits| bits >> 1)
 }
 
-/// Generates the fields of the run and the section `[bs]`, which [`with_q_learning`] extends. `tests/tests/ledger.rs`
-/// relies on at most 12 devices.
+/// Generates the fields of the run and the section `[bs]`, which [`with_q_learning`] extends. `points.csv` and
+/// `tests/tests/ledger.rs` rely on at most 12 devices, [`with_ample_energy`] on at most 200 TTIs.
 fn run_fields() -> impl Strategy<Value = String> {
     let warm_up = prop_oneof![Just(0.0), 0.0..0.5f64];
     let tau = prop_oneof![4 => Just(1.0), 1 => 0.25..2.0f64];
-    (1..=12u32, 1..=200u64, seed(), warm_up, tau, 1..=60u64).prop_map(
+    (1..=12u32, 1..=200u64, any_seed(), warm_up, tau, 1..=60u64).prop_map(
         |(devices, ttis, seed, warm_up, tau, sync_interval)| {
             format!(
                 "devices = {devices}\nttis = {ttis}\nseed = {seed}\nwarm_up = {warm_up:?}\ntau = {tau:?}\n\
@@ -162,7 +174,7 @@ fn run_fields() -> impl Strategy<Value = String> {
 }
 
 /// Generates the sections `[area]`, `[layout]` and `[sensing]`.
-fn deployment() -> impl Strategy<Value = String> {
+fn deployment_sections() -> impl Strategy<Value = String> {
     let layout = prop_oneof![
         Just("kind = \"uniform\""),
         Just("kind = \"jittered-grid\""),
@@ -171,12 +183,12 @@ fn deployment() -> impl Strategy<Value = String> {
         Just("kind = \"hex\""),
         Just("kind = \"file\"\nfile = \"points.csv\""),
     ];
-    let kind = prop_oneof![Just("range"), Just("probabilistic")];
+    let sensing_kind = prop_oneof![Just("range"), Just("probabilistic")];
     let fusion = prop_oneof![Just("max"), Just("sum-saturation")];
     let psi = prop_oneof![2 => Just(1.0), 1 => 0.2..3.0f64];
     (
         layout,
-        kind,
+        sensing_kind,
         fusion,
         psi,
         4.0..15.0f64,
@@ -184,15 +196,16 @@ fn deployment() -> impl Strategy<Value = String> {
         1.0..5.6f64,
         0.1..1.5f64,
     )
-        .prop_map(|(layout, kind, fusion, psi, width, height, d_max, eta)| {
+        .prop_map(|(layout, sensing_kind, fusion, psi, width, height, d_max, eta)| {
             format!(
-                "[area]\nwidth = {width:?}\nheight = {height:?}\n[layout]\n{layout}\n[sensing]\nkind = \"{kind}\"\n\
-                 g = \"{fusion}\"\npsi = {psi:?}\nd_max = {d_max:?}\neta = {eta:?}\n"
+                "[area]\nwidth = {width:?}\nheight = {height:?}\n[layout]\n{layout}\n[sensing]\n\
+                 kind = \"{sensing_kind}\"\ng = \"{fusion}\"\npsi = {psi:?}\nd_max = {d_max:?}\neta = {eta:?}\n"
             )
         })
 }
 
-fn events() -> impl Strategy<Value = String> {
+/// Generates the section `[events]` and the section of its process.
+fn event_sections() -> impl Strategy<Value = String> {
     let alpha = prop_oneof![1 => Just(1.0), 4 => 0.02..0.9f64];
     let duration_kind = prop_oneof![Just("fixed"), Just("geometric")];
     (alpha, 1..=6u64, duration_kind, event_process()).prop_map(|(alpha, duration, duration_kind, (process, fields))| {
@@ -238,12 +251,19 @@ fn mean_phase_ttis() -> impl Strategy<Value = f64> {
     prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64]
 }
 
-/// Generates a radio section; about half of the radios never fail, the others fail in some ways.
-fn radio() -> impl Strategy<Value = String> {
-    let p = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
+/// Generates a section `[radio]`; about half of the radios never fail, the others fail in some ways.
+fn radio_section() -> impl Strategy<Value = String> {
+    let probability = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
     let burst_loss = prop_oneof![Just(1.0), 0.0..1.0f64];
     let bursts = proptest::option::weighted(0.3, (mean_phase_ttis(), mean_phase_ttis(), burst_loss));
-    let failing = (p(), p(), p(), p(), bursts, 0..4u32).prop_map(
+    let failing = (
+        probability(),
+        probability(),
+        probability(),
+        probability(),
+        bursts,
+        0..4u32,
+    ).prop_map(
         |(wake_miss, false_wake_up, uplink_loss, plan_loss, bursts, wake_latency)| {
             let bursts = bursts.map_or_else(String::new, |(burst_ttis, quiet_ttis, loss)| {
                 format!(
@@ -261,8 +281,9 @@ fn radio() -> impl Strategy<Value = String> {
 }
 
 /// Generates the sections of the policy. [`small_with_policy`] relies on the first two lines, and
-/// `tests/tests/ledger.rs` on cycles of at most 9 TTIs.
-fn policy() -> impl Strategy<Value = String> {
+/// `tests/tests/ledger.rs` on cycles of at most 9 TTIs. `random` keeps its default cycles, which
+/// [`ReferencePolicy::new`](crate::reference::ReferencePolicy::new) repeats.
+fn policy_sections() -> impl Strategy<Value = String> {
     let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
     let t_drx = proptest::collection::vec(1..=9u32, 1..=2);
     (name, 1..=6u32, any::<bool>(), t_drx).prop_map(|(name, neighbours, limit_radius, t_drx)| {
@@ -279,47 +300,55 @@ fn with_q_learning() -> impl Strategy<Value = String> {
     let ranking = prop_oneof![Just("p42"), Just("posterior")];
     let knowledge = prop_oneof![Just("oracle"), Just("reported")];
     let settings = (ranking, knowledge, 1..=6u32, 0.0..60.0f64);
-    (run_fields(), deployment(), events(), energy_and_harvest(), settings).prop_map(
-        |(run, deployment, events, energy, (ranking, knowledge, window, mu1))| {
+    (
+        run_fields(),
+        deployment_sections(),
+        event_sections(),
+        energy_and_harvest_sections(),
+        settings,
+    )
+        .prop_map(|(run, deployment, events, energy, (ranking, knowledge, window, mu1))| {
             let bs = format!("[bs]\nranking = \"{ranking}\"\nbattery_knowledge = \"{knowledge}\"\n");
             let run = run.replace("[bs]\n", &bs);
             format!(
                 "{run}{deployment}{events}[policy]\nname = \"q-learning\"\n[policy.q-learning]\ntable = \"nothing\"\n\
                  learn = true\nwindow = {window}\nmu1 = {mu1:?}\nepsilon = 0.2\n{energy}"
             )
-        },
-    )
+        })
 }
 
 /// Generates the energy and harvest sections: the defaults, and up to three classes that override some of them. Without
 /// a class all devices use the defaults.
-fn energy_and_harvest() -> impl Strategy<Value = String> {
+fn energy_and_harvest_sections() -> impl Strategy<Value = String> {
     let class = (
         0.1..1.0f64,
-        proptest::option::of(energy()),
-        proptest::option::of(harvest()),
+        proptest::option::of(energy_fields()),
+        proptest::option::of(harvest_section()),
     );
     let classes = proptest::collection::vec(class, 0..=3);
     // A class inherits the fields that it omits, and `column` excludes `columns`: all classes use the same one.
-    (energy(), harvest(), any::<bool>(), classes).prop_map(|(energy, harvest, shares_column, classes)| {
-        let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shares_column));
-        let total_weight: f64 = classes.iter().map(|(weight, ..)| weight).sum();
-        for (i, (weight, energy, harvest)) in classes.into_iter().enumerate() {
-            let share = weight / total_weight;
-            writeln!(text, "[[class]]\nname = \"c{i}\"\nshare = {share:?}").expect("a String can be written");
-            if let Some(energy) = energy {
-                write!(text, "[class.energy]\n{energy}").expect("a String can be written");
+    (energy_fields(), harvest_section(), any::<bool>(), classes).prop_map(
+        |(energy, harvest, shares_column, classes)| {
+            let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shares_column));
+            let total_weight: f64 = classes.iter().map(|(weight, ..)| weight).sum();
+            for (i, (weight, energy, harvest)) in classes.into_iter().enumerate() {
+                let share = weight / total_weight;
+                writeln!(text, "[[class]]\nname = \"c{i}\"\nshare = {share:?}").expect("a String can be written");
+                if let Some(energy) = energy {
+                    write!(text, "[class.energy]\n{energy}").expect("a String can be written");
+                }
+                if let Some(harvest) = harvest {
+                    text.push_str(&harvest.text("class.harvest", shares_column));
+                }
             }
-            if let Some(harvest) = harvest {
-                text.push_str(&harvest.text("class.harvest", shares_column));
-            }
-        }
-        text
-    })
+            text
+        },
+    )
 }
 
-/// Generates the fields of `[energy]`: shares of `E_max` from 0 to 1, with micro-units that do not divide one another.
-fn energy() -> impl Strategy<Value = String> {
+/// Generates the fields of `[energy]`, as shares of `E_max` from 0 to 1: loading refuses costs and initial levels above
+/// `E_max`. Their micro-units rarely divide one another.
+fn energy_fields() -> impl Strategy<Value = String> {
     let e_max = prop_oneof![Just(100.0), 0.5..30.0f64, Just(0.000_001)];
     let cost_per_tti = || prop_oneof![1 => Just(0.0), 3 => 0.0..0.05f64, 1 => 0.0..=1.0f64];
     let report_cost = prop_oneof![1 => Just(0.0), 4 => 0.02..0.4f64, 1 => 0.0..=1.0f64, 1 => Just(1.0)];
@@ -333,28 +362,33 @@ fn energy() -> impl Strategy<Value = String> {
     })
 }
 
-/// Parts of a `[harvest]` section.
+/// Parts of a `[harvest]` section, of the run or of a class.
 #[derive(Clone, Debug)]
 struct HarvestSection {
+    /// Fields outside `[harvest.trace]`.
     source: String,
-    /// Fields of recorded energy only.
+    /// Fields of `[harvest.trace]` without the column; `None` for other kinds than `trace`.
     trace: Option<String>,
-    /// `column` for all devices.
+    /// Line `column = …`, for all devices.
     column: &'static str,
-    /// `columns`, of which each device gets one.
+    /// Line `columns = …`, of which each device gets one column.
     columns: &'static str,
 }
 
 impl HarvestSection {
+    /// Returns the section `section`, such as `class.harvest`, with `column` if `shares_column`, or else `columns`.
     fn text(&self, section: &str, shares_column: bool) -> String {
-        let column = if shares_column { self.column } else { self.columns };
-        let trace = self.trace.as_ref();
-        let trace = trace.map_or_else(String::new, |trace| format!("[{section}.trace]\n{trace}{column}\n"));
-        format!("[{section}]\n{}{trace}", self.source)
+        let column_line = if shares_column { self.column } else { self.columns };
+        let trace_section = match &self.trace {
+            Some(fields) => format!("[{section}.trace]\n{fields}{column_line}\n"),
+            None => String::new(),
+        };
+        format!("[{section}]\n{}{trace_section}", self.source)
     }
 }
 
-fn harvest() -> impl Strategy<Value = HarvestSection> {
+/// Generates a harvest section that loads: the arrival probability of a day is at most 1.
+fn harvest_section() -> impl Strategy<Value = HarvestSection> {
     let kind = prop_oneof![
         3 => Just("eq5"),
         1 => Just("exp-minus-lambda"),
@@ -371,8 +405,18 @@ fn harvest() -> impl Strategy<Value = HarvestSection> {
     let end = prop_oneof![Just("cycle"), Just("stop")];
     let off_mean = proptest::option::of(0.1..20.0f64);
     let trace = (1..=4u64, end, 0.0..2.0f64, 0..3u64);
-    (kind, column, columns, e_b, 0.02..3.0f64, off_mean, trace, day()).prop_map(
-        |(kind, column, columns, e_b, lambda, off_mean, (ttis_per_row, end, scale, start), (day, is_daily_mean))| {
+    let day = diurnal_fields();
+    (kind, column, columns, e_b, 0.02..3.0f64, off_mean, trace, day).prop_map(
+        |(
+            kind,
+            column,
+            columns,
+            e_b,
+            lambda,
+            off_mean,
+            (ttis_per_row, end, scale, start),
+            (diurnal, is_daily_mean),
+        )| {
             // Noon is far above the daily mean; its arrival probability must not exceed 1.
             let lambda = if kind == "diurnal" && is_daily_mean {
                 lambda / 30.0
@@ -384,7 +428,7 @@ fn harvest() -> impl Strategy<Value = HarvestSection> {
                 writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("a String can be written");
             }
             if kind == "diurnal" {
-                source.push_str(&day);
+                source.push_str(&diurnal);
             }
             if let Some(off_mean) = off_mean.filter(|_| kind == "mpp") {
                 writeln!(source, "off_mean = {off_mean:?}").expect("a String can be written");
@@ -406,7 +450,7 @@ fn harvest() -> impl Strategy<Value = HarvestSection> {
 }
 
 /// Generates the fields `diurnal.*` for a day of at most 60 TTIs, and whether λ refers to the daily mean.
-fn day() -> impl Strategy<Value = (String, bool)> {
+fn diurnal_fields() -> impl Strategy<Value = (String, bool)> {
     let sky = prop_oneof![Just("vacuum"), Just("clear")];
     let known = prop_oneof![3 => Just("course"), 1 => Just("mean")];
     let latitude = prop_oneof![4 => -45.0..45.0f64, 1 => -90.0..90.0f64];

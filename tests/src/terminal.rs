@@ -1,4 +1,4 @@
-//! A terminal in which a command runs and that a test can close like a window.
+//! A terminal in which a command runs and that a test can close like a window, for `tests/program/closed_terminal.rs`.
 
 use std::fs::{File, OpenOptions};
 use std::io::Read;
@@ -19,9 +19,9 @@ use crate::process::{PATIENCE, POLL_INTERVAL, now, wait_until};
 pub struct PtyCommand {
     child: Child,
     output: Arc<Mutex<Vec<u8>>>,
-    /// Tells `reader` to end.
+    /// Whether `reader` must end.
     is_closing: Arc<AtomicBool>,
-    /// Thread that reads from the terminal and thereby keeps it open.
+    /// Thread that collects `output` and keeps the terminal open; `None` after [`Self::close`].
     reader: Option<JoinHandle<()>>,
 }
 
@@ -29,7 +29,7 @@ impl PtyCommand {
     /// Starts `command` in a new terminal. It receives SIGHUP when the terminal closes, as from a shell.
     ///
     /// # Panics
-    /// If no terminal is available.
+    /// If no terminal is available or `setsid` is missing.
     pub fn start(command: &Command) -> Self {
         // SIGHUP goes to the session whose controlling terminal is closed.
         Self::start_in_session(command, &["--ctty"])
@@ -38,24 +38,25 @@ impl PtyCommand {
     /// Starts `command` in a new terminal. When the terminal closes, its writes fail, and it receives no SIGHUP.
     ///
     /// # Panics
-    /// If no terminal is available.
+    /// If no terminal is available or `setsid` is missing.
     pub fn start_without_sighup(command: &Command) -> Self {
         Self::start_in_session(command, &[])
     }
 
-    /// Starts `command` in a new terminal and a new session, with these options of `setsid`.
+    /// Starts `command` in a new terminal and a new session, with these options of `setsid`. Uses the arguments,
+    /// variables and working directory of `command`; redirections set there have no effect.
     fn start_in_session(command: &Command, setsid_options: &[&str]) -> Self {
         // Neither end may become the controlling terminal of the test.
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).expect("a terminal is available");
         grantpt(&master).expect("the terminal is ours");
         unlockpt(&master).expect("the terminal is ours");
-        let name = ptsname(&master, Vec::new()).expect("a terminal has a name");
+        let terminal_path = ptsname(&master, Vec::new()).expect("a terminal has a name");
         let terminal = OpenOptions::new()
             .read(true)
             .write(true)
             .custom_flags(OFlags::NOCTTY.bits().cast_signed())
-            .open(name.to_str().expect("a path"))
+            .open(terminal_path.to_str().expect("a path"))
             .expect("the terminal can be opened");
         let terminal_handle = || Stdio::from(terminal.try_clone().expect("a file can be opened twice"));
         let mut setsid = Command::new("setsid");
@@ -84,7 +85,7 @@ impl PtyCommand {
         Self {
             child: child.expect("setsid is installed"),
             reader: Some(std::thread::spawn(move || {
-                read(master, &shared_output, &shared_is_closing);
+                collect_output(master, &shared_output, &shared_is_closing);
             })),
             output,
             is_closing,
@@ -97,7 +98,7 @@ impl PtyCommand {
     }
 
     /// Raw output of the command in the terminal so far.
-    pub fn shown(&self) -> String {
+    pub fn output(&self) -> String {
         let output = self.output.lock().unwrap_or_else(PoisonError::into_inner);
         String::from_utf8_lossy(&output).into_owned()
     }
@@ -108,14 +109,14 @@ impl PtyCommand {
     /// If the text does not appear in time.
     pub fn wait_for(&self, text: &str) {
         wait_until(&format!("{text:?} in the terminal"), PATIENCE, || {
-            self.shown().contains(text).then_some(())
+            self.output().contains(text).then_some(())
         });
     }
 
-    /// Closes the terminal.
+    /// Closes the terminal. [`Self::output`] keeps the output up to then; a second call has no effect.
     ///
     /// # Panics
-    /// If the terminal cannot be read.
+    /// If the thread that reads the terminal has panicked.
     pub fn close(&mut self) {
         self.is_closing.store(true, Ordering::Release);
         // The terminal closes when its thread ends and drops the only handle.
@@ -134,7 +135,7 @@ impl PtyCommand {
             if let Some(status) = self.child.try_wait().expect("the child can be polled") {
                 return status;
             }
-            assert!(now() < deadline, "not ended within {patience:?}: {}", self.shown());
+            assert!(now() < deadline, "not ended within {patience:?}: {}", self.output());
             std::thread::sleep(POLL_INTERVAL);
         }
     }
@@ -149,7 +150,7 @@ impl Drop for PtyCommand {
 }
 
 /// Collects terminal output until `is_closing` is set. The terminal closes when this function returns.
-fn read(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closing: &AtomicBool) {
+fn collect_output(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closing: &AtomicBool) {
     // A read that blocks would keep the terminal open after `close`.
     rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("the flag can be set");
     let (mut master, mut buffer) = (File::from(master), [0; 4096]);

@@ -1,4 +1,5 @@
-//! Records the plans and wake-ups of a base station, so that an external policy can repeat them.
+//! Records the plans and wake-ups of a base station, so that an external policy can repeat them: over the bus in
+//! `external_policy.rs`, in memory in `tests/tests/external.rs`.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +16,7 @@ use reveille_lab::run::{Run, RunOptions};
 /// Plans and wake-ups of a base station, and events of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CommandTranscript {
-    /// Plans sent, by the first TTI in which they apply.
+    /// Plans sent, by the first TTI in which they apply. The latest one applies in any TTI.
     pub plans: BTreeMap<u64, Plan>,
     /// Devices woken, in order, by TTI; TTIs without a wake-up are missing.
     pub wake_ups: BTreeMap<u64, Vec<DeviceId>>,
@@ -47,8 +48,8 @@ impl Observer for CommandTranscript {
 }
 
 impl CommandTranscript {
-    /// Runs `scenario` in memory and returns its transcript and digest.
-    pub fn of(scenario: &Scenario) -> (Self, Digest) {
+    /// Runs `scenario` in memory, after its pilot runs if the policy has any, and returns its transcript and digest.
+    pub fn record(scenario: &Scenario) -> (Self, Digest) {
         let mut transcript = Self::default();
         let outcome = Run::new(&prepare(scenario), RunOptions::default()).finish(&mut transcript);
         (transcript, outcome.digest)
@@ -68,9 +69,12 @@ impl CommandTranscript {
         self.wake_ups.get(&k.0).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns the decision of TTI `k`: its plan, for this TTI only, or its wake-ups of devices for which `may_wake`
-    /// holds.
-    pub fn answer(&self, stage: DecisionStage, k: Tti, may_wake: impl Fn(DeviceId) -> bool) -> Decision {
+    /// Returns the recorded decision of TTI `k`: its plan, for this TTI only, or its wake-ups of devices for which
+    /// `may_wake` holds. `may_wake` must exclude the devices already woken in TTI `k`, which would be repeated.
+    ///
+    /// # Panics
+    /// At the plan stage, if no plan was sent up to TTI `k`.
+    pub fn decision(&self, stage: DecisionStage, k: Tti, may_wake: impl Fn(DeviceId) -> bool) -> Decision {
         match stage {
             DecisionStage::Plan => Decision::Plan(PlanDecision {
                 plan: self.plan_at(k),

@@ -1,5 +1,6 @@
 //! The policy `adjusted` (Sec. V-A, first approach): its search for a duty cycle against the search of the reference
-//! implementation, the length of its pilot runs, and the coverage of its plans.
+//! implementation, the length of its pilot runs, and the coverage of its plans. Its wake-ups are not checked here.
+//! Counts and percentages in the assertions ensure that a case occurs or an effect is clear; they are no requirements.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -16,15 +17,17 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::process::TestFolder;
 use reveille_tests::{reference, scenarios};
 
-fn scenario(fields: &[&str]) -> Scenario {
+fn adjusted_scenario(fields: &[&str]) -> Scenario {
     scenarios::paper(&[&["policy.name=adjusted"], fields].concat())
 }
 
-fn facts(outcome: &RunOutcome) -> BTreeMap<&'static str, f64> {
+/// Returns the facts of the policy, by name; `bs/src/policy/adjusted/` defines the names.
+fn facts_by_name(outcome: &RunOutcome) -> BTreeMap<&'static str, f64> {
     outcome.facts.iter().copied().collect()
 }
 
-fn search(scenario: &Scenario) -> DutyCycleChoice {
+/// Returns the duty cycle that the pilot runs of `scenario` choose.
+fn search_duty_cycle(scenario: &Scenario) -> DutyCycleChoice {
     let choice = prepare(scenario).pilot_choice.expect("a search");
     let choice: &dyn Any = &*choice;
     *choice.downcast_ref().expect("a duty cycle")
@@ -35,7 +38,7 @@ fn search(scenario: &Scenario) -> DutyCycleChoice {
 fn sensing_devices_of_a_grid_cover_the_area_in_every_tti() {
     for layout in ["grid", "hex", "jittered-grid"] {
         let layout = format!("layout.kind={layout}");
-        let outcome = run(&scenario(&[
+        let outcome = run(&adjusted_scenario(&[
             "devices=256",
             "ttis=6000",
             layout.as_str(),
@@ -58,7 +61,7 @@ fn the_duty_cycle_sets_the_number_of_sensing_devices() {
         ];
         let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
         let sensing_devices_by_tti = |seed: &str| {
-            let scenario = scenario(&[&fields[..], &[seed]].concat());
+            let scenario = adjusted_scenario(&[&fields[..], &[seed]].concat());
             let mut run = Run::new(&prepare(&scenario), RunOptions::default());
             run.run_grant(&mut ());
             let plan = run.cycle().plan().clone();
@@ -70,17 +73,17 @@ fn the_duty_cycle_sets_the_number_of_sensing_devices() {
             (0..t_drx).map(sensing_devices).collect::<Vec<Vec<u32>>>()
         };
         let first_cycle = sensing_devices_by_tti("seed=1");
-        // Each phase of the cycle has N/t_DRX devices, rounded down or up.
-        let devices_per_phase = u64::from(devices) / t_drx;
+        // Each offset of the cycle has N/t_DRX devices, rounded down or up.
+        let devices_per_offset = u64::from(devices) / t_drx;
         for sensing_devices in &first_cycle {
             let n = sensing_devices.len() as u64;
             assert!(
-                (t_on * devices_per_phase..=t_on * (devices_per_phase + 1)).contains(&n),
+                (t_on * devices_per_offset..=t_on * (devices_per_offset + 1)).contains(&n),
                 "{n} of {devices} devices sense"
             );
         }
         for j in 0..devices {
-            let sensing_ttis = first_cycle.iter().filter(|devices| devices.contains(&j)).count() as u64;
+            let sensing_ttis = first_cycle.iter().filter(|sensing| sensing.contains(&j)).count() as u64;
             assert_eq!(sensing_ttis, t_on, "TTIs in S1 of device {j}");
         }
         assert_eq!(first_cycle, sensing_devices_by_tti("seed=1"));
@@ -94,9 +97,9 @@ fn the_duty_cycle_sets_the_number_of_sensing_devices() {
 
 #[test]
 fn pilot_runs_are_extended_until_they_have_enough_events() {
-    // By default pilot runs have at least 30 events, from 2000 to 200 000 TTIs.
-    let outcome = run(&scenario(&["devices=100", "ttis=400", "events.alpha=0.002"]));
-    let facts = facts(&outcome);
+    // The defaults of `pilot_events`, `pilot_ttis` and `pilot_limit`: at least 30 events, from 2000 to 200 000 TTIs.
+    let outcome = run(&adjusted_scenario(&["devices=100", "ttis=400", "events.alpha=0.002"]));
+    let facts = facts_by_name(&outcome);
     assert!(facts["pilot_events"] >= 30.0, "{facts:?}");
     assert!(
         facts["pilot_ttis"] > 2000.0 && facts["pilot_ttis"] <= 200_000.0,
@@ -104,20 +107,20 @@ fn pilot_runs_are_extended_until_they_have_enough_events() {
     );
     assert!(facts["reaches_i_min"] > 0.0, "{facts:?}");
     // With many events the pilot runs are not extended.
-    let facts = self::facts(&run(&scenario(&["devices=100", "ttis=400"])));
+    let facts = facts_by_name(&run(&adjusted_scenario(&["devices=100", "ttis=400"])));
     assert!(facts["pilot_events"] >= 30.0, "{facts:?}");
     assert!((facts["pilot_ttis"] - 2000.0).abs() < 0.5, "{facts:?}");
 }
 
 #[test]
 fn a_search_without_events_warns() {
-    let rare = scenario(&[
+    let rare_events = adjusted_scenario(&[
         "devices=50",
         "ttis=400",
         "events.alpha=0.0000001",
         "policy.adjusted.pilot_limit=3000",
     ]);
-    let prepared = prepare(&rare);
+    let prepared = prepare(&rare_events);
     let [warning] = &prepared.warnings[..] else {
         panic!("{:?}", prepared.warnings)
     };
@@ -125,12 +128,17 @@ fn a_search_without_events_warns() {
         assert!(warning.contains(part), "{warning}");
     }
     let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut ());
-    let facts = facts(&outcome);
+    let facts = facts_by_name(&outcome);
     assert!((facts["pilot_ttis"] - 3000.0).abs() < 0.5, "{facts:?}");
-    // Without events the search compares only the energy that the pairs spend.
+    // Without events the search compares only the energy that the pairs spend. (1, 32) is the cheapest of the default
+    // lists.
     assert!(facts["pilot_events"] < 0.5, "{facts:?}");
     assert_eq!((facts["t_on"] as u32, facts["t_drx"] as u32), (1, 32), "{facts:?}");
-    assert!(prepare(&scenario(&["devices=50", "ttis=400"])).warnings.is_empty());
+    assert!(
+        prepare(&adjusted_scenario(&["devices=50", "ttis=400"]))
+            .warnings
+            .is_empty()
+    );
 }
 
 /// The traces have equal energy at different times, so that a search that knows only the mean finds the same pair.
@@ -151,7 +159,7 @@ fn pilot_runs_know_only_the_mean_of_a_trace() {
     );
     let search_with_trace = |file: &str| {
         let file = format!("harvest.trace.file={}", folder.join(file).display());
-        search(&scenario(&[
+        search_duty_cycle(&adjusted_scenario(&[
             "devices=60",
             "harvest.kind=trace",
             "harvest.trace.column=e",
@@ -160,8 +168,8 @@ fn pilot_runs_know_only_the_mean_of_a_trace() {
     };
     let (early, late) = (search_with_trace("early.csv"), search_with_trace("late.csv"));
     assert_eq!(early, late, "traces with the same mean");
-    // In each TTI an arrival of the trace's mean.
-    let constant = search(&scenario(&[
+    // In each TTI an arrival of the trace's mean, 4 · 200/2000 units.
+    let constant = search_duty_cycle(&adjusted_scenario(&[
         "devices=60",
         "harvest.kind=exp-minus-lambda",
         "harvest.lambda=0",
@@ -184,7 +192,7 @@ fn the_search_chooses_the_pair_of_the_reference() {
         let Some(expected_pair) = reference::reference_search(&scenario, &positions) else {
             continue;
         };
-        let choice = search(&scenario);
+        let choice = search_duty_cycle(&scenario);
         assert_eq!(
             (u64::from(choice.t_on), u64::from(choice.t_drx)),
             expected_pair,

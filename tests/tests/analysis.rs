@@ -1,5 +1,6 @@
 //! The state transitions that `study::analysis::transitions` measures, against counts in runs of the reference
-//! implementation. The probabilities derived from the counts are not checked here.
+//! implementation. The probabilities derived from the counts are not checked here. The radio is perfect, which
+//! `measure` requires; if an action cannot be paid, only the transmissions are compared.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
@@ -8,15 +9,18 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::radio::RadioSettings;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
-use reveille_study::analysis::transitions::measure;
+use reveille_study::analysis::transitions::{Transition, measure};
 use reveille_tests::reference::ReferenceState;
 use reveille_tests::{reference, scenarios};
 
 /// Number of measured runs: only the scenario's own seed, as in the reference run.
 const SEEDS: u64 = 1;
 
-/// Counts transitions from state m to state n, at `[m][n]`, in the measured TTIs of a reference run in which every
-/// action can be paid.
+/// Counts transitions from state S_m to state S_n, at `[m][n]`, in the measured TTIs of a reference run in which every
+/// action can be paid. Index 0 is unused.
+///
+/// # Panics
+/// If an action failed.
 fn count_transitions(scenario: &Scenario, run: &reference::ReferenceRun) -> [[u64; 5]; 5] {
     // The policies of these scenarios send one plan, which holds for the whole run.
     let mut emulated_run = start(scenario, RunOptions::default());
@@ -60,8 +64,9 @@ proptest! {
             return Err(TestCaseError::reject("too close to call"));
         }
         let counts = count_transitions(&scenario, &expected);
-        for t in measure(&scenario, SEEDS).expect("a study").transitions {
-            prop_assert_eq!(t.count, counts[t.from][t.to], "transitions S{} → S{}\n{}", t.from, t.to, text);
+        for measured in measure(&scenario, SEEDS).expect("a study").transitions {
+            let (m, n) = (measured.from, measured.to);
+            prop_assert_eq!(measured.count, counts[m][n], "transitions S{} → S{}\n{}", m, n, text);
         }
     }
 
@@ -77,8 +82,12 @@ proptest! {
         let is_transmission = |(state, _): &&(ReferenceState, u64)| *state == ReferenceState::Transmission;
         let transmissions = measured_trace.iter().flatten().filter(is_transmission).count();
         let transitions = measure(&scenario, SEEDS).expect("a study").transitions;
-        let count = |m, n| transitions.iter().find(|t| (t.from, t.to) == (m, n)).map_or(0, |t| t.count);
+        let count = |m, n| {
+            let is_wanted = |t: &&Transition| (t.from, t.to) == (m, n);
+            transitions.iter().find(is_wanted).map_or(0, |t| t.count)
+        };
         prop_assert_eq!(count(2, 3), transmissions as u64, "{}", text);
+        // Each activation ends in a transmission or, without energy for it, in S4.
         prop_assert_eq!(count(1, 2) + count(4, 2), count(2, 3) + count(2, 4), "{}", text);
     }
 }

@@ -14,15 +14,15 @@ use reveille_tests::scenarios::paper;
 
 const TTIS: u64 = 600;
 
-fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
+fn prepare_policy(policy: &str, battery_knowledge: &str) -> PreparedRun {
     prepare(&paper(&[
         &format!("ttis={TTIS}"),
         &format!("policy.name={policy}"),
-        &format!("bs.battery_knowledge={knowledge}"),
+        &format!("bs.battery_knowledge={battery_knowledge}"),
     ]))
 }
 
-/// Frames of a run, as the base station passes them to the audit.
+/// Frames of a run, as the base station passes them to the audit (`deploy/src/audit.rs`).
 #[derive(Default)]
 struct FrameRecorder {
     encoder: DigestFrameEncoder,
@@ -46,29 +46,29 @@ fn record_frames(prepared: &PreparedRun) -> Vec<Frame> {
     recorder.frames
 }
 
-/// Audits `frames`, `step` TTIs at a time.
+/// Audits `frames`, which are in the order of TTIs, `step` TTIs at a time. `step` divides [`TTIS`].
 fn audit(prepared: &PreparedRun, frames: &[Frame], step: u64) -> Result<(), Divergence> {
     let mut replay = Replay::new(prepared, &ExternalInputs::default(), Tti::ZERO);
-    let mut rest = frames;
+    let mut unaudited = frames;
     for k in (step..=TTIS).step_by(step as usize) {
-        let frame_count = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();
-        let (step_frames, later_frames) = rest.split_at(frame_count);
+        let frame_count = unaudited.iter().take_while(|frame| frame.tti < Tti(k)).count();
+        let (step_frames, later_frames) = unaudited.split_at(frame_count);
         replay.compare(Tti(k), step_frames)?;
         assert_eq!(replay.compared_until(), Tti(k));
-        rest = later_frames;
+        unaudited = later_frames;
     }
-    assert!(rest.is_empty());
+    assert!(unaudited.is_empty());
     Ok(())
 }
 
 #[test]
 fn an_unchanged_run_passes_the_audit() {
-    for (policy, knowledge) in [("knn", "reported"), ("age-index", "oracle"), ("q-learning", "oracle")] {
-        let prepared = prepared(policy, knowledge);
+    for (policy, battery_knowledge) in [("knn", "reported"), ("age-index", "oracle"), ("q-learning", "oracle")] {
+        let prepared = prepare_policy(policy, battery_knowledge);
         let frames = record_frames(&prepared);
         let states_frames = frames.iter().filter(|frame| frame.kind == MessageKind::States).count() as u64;
         // Before the first TTI no batteries are passed to the policy.
-        let expected_frames = if knowledge == "oracle" { TTIS - 1 } else { 0 };
+        let expected_frames = if battery_knowledge == "oracle" { TTIS - 1 } else { 0 };
         assert_eq!(states_frames, expected_frames, "{policy}");
         for step in [1, 50, TTIS] {
             assert_eq!(
@@ -83,7 +83,7 @@ fn an_unchanged_run_passes_the_audit() {
 #[test]
 fn a_false_battery_level_is_reported_with_its_device() {
     let (tti, device) = (Tti(321), DeviceId(17));
-    let prepared = prepared("q-learning", "oracle");
+    let prepared = prepare_policy("q-learning", "oracle");
     let mut frames = record_frames(&prepared);
     let index = frames
         .iter()
@@ -98,6 +98,7 @@ fn a_false_battery_level_is_reported_with_its_device() {
     frames[index] = Frame::new::<DeviceStates>(tti, (), &states);
     let divergence = audit(&prepared, &frames, 50).expect_err("a false battery level");
     assert_eq!((divergence.tti, divergence.device), (tti, Some(device)));
+    // The text of `lab/src/replay.rs`.
     let expected_text = format!(
         "{} units in the battery of device 17, and the replay {true_units} units",
         true_units + 2.0
@@ -111,7 +112,7 @@ fn a_false_battery_level_is_reported_with_its_device() {
 
 #[test]
 fn a_false_or_missing_report_is_reported_with_its_tti() {
-    let prepared = prepared("knn", "reported");
+    let prepared = prepare_policy("knn", "reported");
     let mut frames = record_frames(&prepared);
     let index = frames
         .iter()

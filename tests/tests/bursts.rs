@@ -1,5 +1,5 @@
 //! The event process `bursts`: the lengths of its phases, its start times and its mean start probability, against
-//! closed forms.
+//! closed forms. Epicentres and durations are tested in `events.rs`. Seeds are fixed, so the tests are deterministic.
 
 use reveille_common::event::EventProcess;
 use reveille_common::ids::{MAX_TTIS, Tti};
@@ -12,12 +12,14 @@ use reveille_tests::scenarios::scenario;
 /// Beginning of a scenario with bursts; a section `[events.bursts]` can follow.
 const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
 
-/// Returns whether each of the first `ttis` TTIs is busy. `fields` sets the mean lengths of the phases; empty for the
-/// defaults.
-fn busy_by_tti(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
+/// Returns whether each of the first `ttis` TTIs is busy. `length_fields` sets the mean lengths of the phases; empty
+/// for the defaults.
+fn is_busy_by_tti(length_fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
     // With these probabilities events start in all busy TTIs and in no others.
     let alphas = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
-    let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{alphas}{fields}"));
+    let scenario = scenario(&format!(
+        "seed = {seed}\n{BURSTS}[events.bursts]\n{alphas}{length_fields}"
+    ));
     let is_busy = |k: u64| {
         let alpha = scenario.events.mean_start_probability(seed, Tti(k), Tti(k + 1));
         assert!([0.0, 1.0].contains(&alpha), "α {alpha}");
@@ -28,13 +30,13 @@ fn busy_by_tti(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
 
 #[test]
 fn phases_have_geometric_lengths() {
-    let fields = "busy_ttis = 8.0\nquiet_ttis = 30.5\n";
-    // (is busy, TTIs since the start of the phase, whether it ends now), for phases whose start was observed.
+    let length_fields = "busy_ttis = 8.0\nquiet_ttis = 30.5\n";
+    // By TTI of the phases whose start was observed: whether the phase is busy, its age, and whether it ends now.
     let mut observations = Vec::new();
     for seed in 0..12 {
-        let phases = busy_by_tti(fields, seed, 6000);
+        let is_busy_in = is_busy_by_tti(length_fields, seed, 6000);
         let mut age = None;
-        for pair in phases.windows(2) {
+        for pair in is_busy_in.windows(2) {
             let ends = pair[0] != pair[1];
             if let Some(age) = age {
                 observations.push((pair[0], age, ends));
@@ -59,14 +61,14 @@ fn phases_have_geometric_lengths() {
         }
     }
     // Each TTI is a separate phase.
-    let single_tti_phases = busy_by_tti("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
+    let single_tti_phases = is_busy_by_tti("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
     assert!(single_tti_phases.windows(2).all(|pair| pair[0] != pair[1]));
 }
 
 #[test]
 fn phases_are_stationary_from_the_first_tti() {
-    let fields = "busy_ttis = 20.0\nquiet_ttis = 60.0\n";
-    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy_by_tti(fields, seed, 60)).collect();
+    let length_fields = "busy_ttis = 20.0\nquiet_ttis = 60.0\n";
+    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| is_busy_by_tti(length_fields, seed, 60)).collect();
     for k in [0, 1, 7, 25, 59] {
         assert_share(&format!("busy in TTI {k}"), runs.iter().map(|run| run[k]), 0.25);
     }
@@ -88,10 +90,10 @@ fn events_start_with_the_probability_of_the_phase() {
              busy_alpha = {busy_alpha:?}\nquiet_alpha = {quiet_alpha:?}\nbusy_ttis = 9.0\nquiet_ttis = 14.0\n"
         );
         let ttis = 12_000;
-        let phases = busy_by_tti("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
+        let is_busy_in = is_busy_by_tti("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
         let scenario = scenario(&text);
         let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(ttis));
-        // (TTI without an active event, whether an event starts)
+        // TTIs without an active event at their start, and whether an event starts.
         let mut idle_ttis = Vec::new();
         let mut k = 0;
         while k < ttis {
@@ -105,15 +107,15 @@ fn events_start_with_the_probability_of_the_phase() {
             assert!(process.next_start() > Tti(k));
             k += 1;
         }
-        let is_first_of_phase = |k: usize| k > 0 && phases[k] != phases[k - 1];
+        let is_first_of_phase = |k: usize| k > 0 && is_busy_in[k] != is_busy_in[k - 1];
         for (is_busy, alpha) in [(true, busy_alpha), (false, quiet_alpha)] {
             let starts_in = |is_included: &dyn Fn(usize) -> bool| -> Vec<bool> {
                 let included = idle_ttis
                     .iter()
-                    .filter(|(k, _)| phases[*k] == is_busy && is_included(*k));
+                    .filter(|(k, _)| is_busy_in[*k] == is_busy && is_included(*k));
                 included.map(|(_, starts)| *starts).collect()
             };
-            let what = format!("starts, α {alpha}, busy {is_busy}");
+            let label = format!("starts, α {alpha}, busy {is_busy}");
             let starts_in_first = starts_in(&is_first_of_phase);
             let starts_in_later = starts_in(&|k| !is_first_of_phase(k));
             let starts = starts_in(&|_| true);
@@ -121,19 +123,19 @@ fn events_start_with_the_probability_of_the_phase() {
                 let is_certain = alpha > 0.5;
                 assert!(
                     starts.iter().all(|starts| *starts == is_certain) && starts.len() > 100,
-                    "{what}"
+                    "{label}"
                 );
                 continue;
             }
-            assert_share(&what, starts, alpha);
+            assert_share(&label, starts, alpha);
             assert_share(
-                &format!("{what}, after the first TTI of a phase"),
+                &format!("{label}, after the first TTI of a phase"),
                 starts_in_later,
                 alpha,
             );
             // The sample is too small for a lower probability.
             if alpha > 0.04 {
-                assert_share(&format!("{what}, in the first TTI of a phase"), starts_in_first, alpha);
+                assert_share(&format!("{label}, in the first TTI of a phase"), starts_in_first, alpha);
             }
         }
     }
@@ -163,15 +165,15 @@ fn a_run_with_a_negligible_start_probability_ends_without_events() {
 
 #[test]
 fn the_mean_start_probability_is_the_mean_over_its_ttis() {
-    // The default probabilities.
+    // The defaults of `busy_alpha` and `quiet_alpha`.
     let (busy_alpha, quiet_alpha) = (0.8, 0.02);
     let scenario = scenario(&format!("seed = 41\n{BURSTS}"));
     let events = &scenario.events;
-    let phases = busy_by_tti("", 41, 3000);
+    let is_busy_in = is_busy_by_tti("", 41, 3000);
     let mut stream = Stream::new(1, Purpose::Epicentre, 0);
     for _ in 0..300 {
-        let (a, b) = (stream.below(3000), stream.below(3001));
-        let (first, end) = (a.min(b), a.max(b));
+        let bounds = [stream.below(3000), stream.below(3001)];
+        let (first, end) = (bounds[0].min(bounds[1]), bounds[0].max(bounds[1]));
         let mean = events.mean_start_probability(41, Tti(first), Tti(end));
         if first == end {
             assert_eq!(mean.to_bits(), events.alpha.to_bits());
@@ -179,7 +181,11 @@ fn the_mean_start_probability_is_the_mean_over_its_ttis() {
         }
         let mut sum = 0.0;
         for k in first..end {
-            sum += if phases[k as usize] { busy_alpha } else { quiet_alpha };
+            sum += if is_busy_in[k as usize] {
+                busy_alpha
+            } else {
+                quiet_alpha
+            };
         }
         let expected_mean = sum / (end - first) as f64;
         assert!(
@@ -193,11 +199,11 @@ fn the_mean_start_probability_is_the_mean_over_its_ttis() {
     let (busy_share, correlation) = (0.2, 1.0 - 1.0 / 40.0 - 1.0 / 160.0);
     let variance = busy_share * (1.0 - busy_share) * (1.0 + correlation) / (1.0 - correlation) / ttis;
     let mean = events.mean_start_probability(41, Tti(0), Tti(ttis as u64));
-    let error = (busy_alpha - quiet_alpha) * f64::sqrt(variance);
+    let standard_error = (busy_alpha - quiet_alpha) * f64::sqrt(variance);
     assert!((events.alpha - 0.176).abs() < 1e-15, "α {}", events.alpha);
     assert!(
-        (mean - events.alpha).abs() < MAX_STANDARD_ERRORS * error && error < 0.01,
-        "mean {mean}, standard error {error}"
+        (mean - events.alpha).abs() < MAX_STANDARD_ERRORS * standard_error && standard_error < 0.01,
+        "mean {mean}, standard error {standard_error}"
     );
 }
 

@@ -1,5 +1,6 @@
-//! Device classes: each field of energy and harvest affects only the devices of its class, in the base station's
-//! knowledge, the ledgers and the digest. The assignment of devices to classes is checked against the scenario's text.
+//! Device classes: a field of energy or harvest affects only the devices of its class, in the base station's knowledge,
+//! the ledgers and the digest. Traces and the fields of single kinds of harvest are not varied. The assignment of
+//! devices to classes is checked against the scenario's text.
 
 use std::path::Path;
 
@@ -14,11 +15,12 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::compare;
 use reveille_tests::scenarios::overrides;
 
-/// Ten devices of class `few`, the others of class `rest`.
+/// Ten devices of class `few` (index 0), the others of class `rest` (index 1).
 const TWO_CLASSES: &str = "preset = \"paper\"\ndevices = 40\nttis = 1500\nwarm_up = 0\npolicy.name = \"random\"\n\
                            [[class]]\nname = \"few\"\ndevices = [0, 3, 5, 8, 13, 20, 21, 34, 38, 39]\n\
                            [[class]]\nname = \"rest\"\nshare = 1\n";
 
+/// Loads `text` with `fields` overridden.
 fn load(text: &str, fields: &[&str]) -> Scenario {
     load_with_warnings(text, fields).scenario
 }
@@ -33,8 +35,8 @@ fn digest(prepared: &PreparedRun) -> Digest {
 
 #[test]
 fn a_field_of_a_class_affects_only_its_devices() {
-    let plain = prepare(&load(TWO_CLASSES, &[]));
-    let (plain_digest, plain_knowledge) = (digest(&plain), plain.knowledge());
+    let unchanged = prepare(&load(TWO_CLASSES, &[]));
+    let (unchanged_digest, unchanged_knowledge) = (digest(&unchanged), unchanged.knowledge());
     for field in [
         "energy.e_max=60",
         "energy.e_idle=1.5",
@@ -48,23 +50,24 @@ fn a_field_of_a_class_affects_only_its_devices() {
         "harvest.kind=diurnal",
     ] {
         let changed = prepare(&load(TWO_CLASSES, &[&format!("class.few.{field}")]));
-        assert_ne!(changed.scenario.hash(), plain.scenario.hash(), "{field}");
-        assert_ne!(digest(&changed), plain_digest, "{field}");
+        assert_ne!(changed.scenario.hash(), unchanged.scenario.hash(), "{field}");
+        assert_ne!(digest(&changed), unchanged_digest, "{field}");
         let changed_knowledge = changed.knowledge();
-        let devices = plain_knowledge.devices.iter().zip(&changed_knowledge.devices);
-        for (j, (plain_device, changed_device)) in (0..).zip(devices) {
+        let devices = unchanged_knowledge.devices.iter().zip(&changed_knowledge.devices);
+        for (j, (unchanged_device, changed_device)) in (0..).zip(devices) {
             let expected_harvest = |knowledge: &Knowledge| knowledge.expected_harvest(DeviceId(j), Tti(100), Tti(150));
-            let is_same = plain_device.energy == changed_device.energy
-                && plain_device.mean_harvest == changed_device.mean_harvest
-                && expected_harvest(&plain_knowledge) == expected_harvest(&changed_knowledge);
+            let is_same = unchanged_device.energy == changed_device.energy
+                && unchanged_device.mean_harvest == changed_device.mean_harvest
+                && expected_harvest(&unchanged_knowledge) == expected_harvest(&changed_knowledge);
             // mpp is on for the same share of time as eq5; only its draws differ.
-            let differs = plain_device.class == 0 && field != "harvest.kind=mpp";
-            assert_eq!(is_same, !differs, "{field}, device {j}");
+            let must_differ = unchanged_device.class == 0 && field != "harvest.kind=mpp";
+            assert_eq!(is_same, !must_differ, "{field}, device {j}");
         }
     }
 }
 
 /// Compares the ledgers of devices with the costs of their class, in micro-units. The two classes share no setting.
+/// Under `random` no device is woken, so S4 costs only E_WuR.
 #[test]
 fn devices_pay_the_costs_of_their_class() {
     let fields = [
@@ -80,7 +83,7 @@ fn devices_pay_the_costs_of_their_class() {
     let scenario = load(TWO_CLASSES, &fields);
     let classes = assign_classes(&scenario);
     let ledgers = compare::ledgers(&scenario, RunOptions::default());
-    let (mut reports, mut overflow) = ([0; 2], [0; 2]);
+    let (mut reports_by_class, mut overflow_by_class) = ([0; 2], [0; 2]);
     for (j, (ledger, &class)) in ledgers.iter().zip(&classes).enumerate() {
         let (class, totals) = (usize::from(class), ledger.whole);
         // Class `few` as above, and class `rest` as in the preset with the changed e_idle.
@@ -91,7 +94,7 @@ fn devices_pay_the_costs_of_their_class() {
         assert_eq!(totals.initial.micro(), initial, "device {j}");
         assert_eq!(totals.harvested.micro() % e_b, 0, "device {j}");
         assert!(totals.battery.micro() <= e_max, "device {j}");
-        overflow[class] += totals.overflow.micro();
+        overflow_by_class[class] += totals.overflow.micro();
         // A failed action costs the remaining charge, not the full cost.
         if totals.failed_ttis + totals.unpowered_ttis > 0 {
             continue;
@@ -99,10 +102,16 @@ fn devices_pay_the_costs_of_their_class() {
         let sleeping_ttis = scenario.run.ttis - totals.sensing_ttis;
         assert_eq!(totals.spent.sensing.micro(), e_idle * totals.sensing_ttis, "device {j}");
         assert_eq!(totals.spent.sleep.micro(), e_wur * sleeping_ttis, "device {j}");
-        reports[class] += totals.spent.report.micro() / e_tx;
+        reports_by_class[class] += totals.spent.report.micro() / e_tx;
     }
-    assert!(reports.iter().all(|&reports| reports > 10), "{reports:?}");
-    assert!(overflow[0] > 0, "no overflow of a small battery: {overflow:?}");
+    assert!(
+        reports_by_class.iter().all(|&reports| reports > 10),
+        "{reports_by_class:?}"
+    );
+    assert!(
+        overflow_by_class[0] > 0,
+        "no overflow of a small battery: {overflow_by_class:?}"
+    );
 }
 
 #[test]
@@ -112,6 +121,7 @@ fn classes_select_devices_by_id_then_zone_then_share() {
                 [[class]]\nname = \"south\"\nnorth = 5.0\nwest = 2\n\
                 [[class]]\nname = \"listed\"\ndevices = [7, 100]\n\
                 [[class]]\nname = \"a\"\nshare = 0.75\n[[class]]\nname = \"b\"\nshare = 0.25\n";
+    // Indices: west 0, south 1, listed 2, a 3, b 4. `east = 8` is the east edge of a zone.
     let scenario = load(text, &[]);
     let prepared = prepare(&scenario);
     let (classes, mut counts) = (assign_classes(&scenario), [0_usize; 5]);
@@ -152,6 +162,7 @@ fn an_invalid_selection_of_devices_is_refused_with_the_reason() {
             .expect_err("not valid")
             .to_string()
     };
+    // The messages are defined in `common/src/scenario/`: `classes.rs`, `class_members.rs` and `validate.rs`.
     for (text, expected) in [
         (
             class("a", "devices = [0, 10]"),

@@ -1,5 +1,7 @@
 //! Information under `genie`, harvested energy and I_min, against closed forms and numerical integrals. Seeds are
-//! fixed, so the tests are deterministic.
+//! fixed, so the tests are deterministic. After an intended change of random draws, a deviation just above the limit of
+//! [`assert_near`] can be chance: a correct sample exceeds it in one of 370 comparisons. Diurnal harvest is not tested
+//! here.
 
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
@@ -26,37 +28,54 @@ fn the_genie_receives_the_information_of_the_closest_device() {
              events.alpha = 0.7\nevents.duration = 2\narea.width = 18.0\narea.height = 15.0\nsensing.d_max = 2.5\n\
              sensing.eta = 0.8\nsensing.psi = 1.5\n{FULL_BATTERIES}"
         ));
-        let (mean, variance, out_of_range) = integrate_closest_information(&scenario);
+        let expected = integrate_closest_information(&scenario);
         let outcome = run(&scenario);
         let n = outcome.metrics.events as f64;
         assert!(n > 20_000.0, "{n} events");
         let metrics = &outcome.metrics;
-        assert_near(layout, metrics.info_per_event, mean, (variance / n).sqrt());
-        let error = (out_of_range * (1.0 - out_of_range) / n).sqrt();
-        assert_near(layout, metrics.misdetection_pct / 100.0, out_of_range, error);
-        assert_near(layout, metrics.wake_ups_per_event, 1.0 - out_of_range, error);
+        assert_near(
+            layout,
+            metrics.info_per_event,
+            expected.mean,
+            (expected.variance / n).sqrt(),
+        );
+        let out_of_range = expected.out_of_range;
+        let standard_error = (out_of_range * (1.0 - out_of_range) / n).sqrt();
+        assert_near(layout, metrics.misdetection_pct / 100.0, out_of_range, standard_error);
+        assert_near(layout, metrics.wake_ups_per_event, 1.0 - out_of_range, standard_error);
         assert_eq!(outcome.totals.events.wrong_activations, 0, "{layout}");
     }
 }
 
-/// Returns mean and variance of the closest device's information over the area, and the share of the area without
-/// information.
-fn integrate_closest_information(scenario: &Scenario) -> (f64, f64, f64) {
+/// Information of the closest device, over the area.
+struct ClosestInformation {
+    mean: f64,
+    variance: f64,
+    /// Share of the area without a device within d_max, where the information is 0.
+    out_of_range: f64,
+}
+
+/// Integrates the closest device's information over the area.
+fn integrate_closest_information(scenario: &Scenario) -> ClosestInformation {
     let positions = Deployment::new(scenario).positions();
-    let (mut sum, mut squares, mut out_of_range) = (0.0, 0.0, 0.0);
+    let (mut sum, mut sum_of_squares, mut points_out_of_range) = (0.0, 0.0, 0.0);
     for point in midpoints(scenario.area) {
         let d = distance_to_closest(&positions, point);
         if d <= scenario.sensing.d_max {
             let information = scenario.sensing.psi * libm::exp(-scenario.sensing.eta * d);
             sum += information;
-            squares += information * information;
+            sum_of_squares += information * information;
         } else {
-            out_of_range += 1.0;
+            points_out_of_range += 1.0;
         }
     }
     let points = f64::from(CELLS_PER_SIDE * CELLS_PER_SIDE);
     let mean = sum / points;
-    (mean, squares / points - mean * mean, out_of_range / points)
+    ClosestInformation {
+        mean,
+        variance: sum_of_squares / points - mean * mean,
+        out_of_range: points_out_of_range / points,
+    }
 }
 
 /// Returns the midpoints of the squares of the area.
@@ -69,11 +88,11 @@ fn midpoints(area: Area) -> impl Iterator<Item = Point> {
 }
 
 fn distance_to_closest(positions: &[Point], from: Point) -> f64 {
-    let mut least = f64::INFINITY;
+    let mut least_square = f64::INFINITY;
     for p in positions {
-        least = least.min((p.x - from.x) * (p.x - from.x) + (p.y - from.y) * (p.y - from.y));
+        least_square = least_square.min((p.x - from.x) * (p.x - from.x) + (p.y - from.y) * (p.y - from.y));
     }
-    least.sqrt()
+    least_square.sqrt()
 }
 
 #[test]
@@ -89,10 +108,10 @@ fn harvested_energy_has_the_mean_of_its_law() {
         ("mpp", 2.0, 1.0, Some(0.4)),
         ("mpp", 0.02, 1.0, Some(3.0)),
     ] {
-        let off = off_mean.map_or(String::new(), |mean: f64| format!("harvest.off_mean = {mean:?}\n"));
+        let off_mean_line = off_mean.map_or(String::new(), |mean: f64| format!("harvest.off_mean = {mean:?}\n"));
         let scenario = scenario(&format!(
             "devices = {devices}\nttis = {ttis}\nseed = 7\nwarm_up = 0.0\ntau = {tau:?}\npolicy.name = \"genie\"\n\
-             harvest.kind = \"{kind}\"\nharvest.lambda = {lambda:?}\nharvest.e_b = {e_b:?}\n{off}"
+             harvest.kind = \"{kind}\"\nharvest.lambda = {lambda:?}\nharvest.e_b = {e_b:?}\n{off_mean_line}"
         ));
         let rate: f64 = lambda * tau;
         // Share of TTIs with an arrival, and correlation of consecutive TTIs.
@@ -110,16 +129,17 @@ fn harvested_energy_has_the_mean_of_its_law() {
             _ => (rate * libm::exp(-rate), 0.0),
         };
         let variance = share * (1.0 - share) * (1.0 + correlation) / (1.0 - correlation);
-        let error = e_b * (variance / (devices * ttis)).sqrt();
+        let standard_error = e_b * (variance / (devices * ttis)).sqrt();
         let harvested = run(&scenario).metrics.harvested_per_device_tti;
-        assert_near(&format!("{kind} λ {lambda}"), harvested, e_b * share, error);
+        assert_near(&format!("{kind} λ {lambda}"), harvested, e_b * share, standard_error);
     }
 }
 
 #[test]
 fn recorded_energy_arrives_exactly() {
-    // Two devices. The columns of the test file are halved, and half a micro-unit rounds up. `rain` is 0, 0.000001, 40,
-    // 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
+    // Two devices. The columns of `tests/data/energy.csv` are halved, and half a micro-unit rounds up. `rain` is 0,
+    // 0.000001, 40, 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the
+    // file 20.
     let (rain, wind) = (4 * (1 + 20_000_000), 4 * (750_000 + 166_667 + 1_000_000));
     let sun = 4 * (1_625_000 + 6_250_000 + 350_000);
     for (end, ttis, columns, expected_micro) in [
@@ -188,10 +208,10 @@ fn i_min_is_the_information_from_the_point_farthest_from_all_devices() {
 }
 
 /// Checks that `measured` is within three standard errors of `expected`.
-fn assert_near(what: &str, measured: f64, expected: f64, standard_error: f64) {
+fn assert_near(quantity: &str, measured: f64, expected: f64, standard_error: f64) {
     let deviation = (measured - expected).abs() / standard_error;
     assert!(
         deviation <= 3.0,
-        "{what}: measured {measured}, expected {expected}, {deviation:.1} standard errors off"
+        "{quantity}: measured {measured}, expected {expected}, {deviation:.1} standard errors off"
     );
 }

@@ -1,4 +1,5 @@
-//! The clusters of `knn` (`Clusters::form`) and `i_min` against the reference implementation, which is exhaustive.
+//! The clusters of `knn` (`Clusters::form`) and `i_min` against the reference implementation, which is exhaustive. It
+//! ends the rounds of votes and of halving at the same limits, so clusters must be equal even without convergence.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
@@ -48,8 +49,9 @@ proptest! {
     ) {
         let points = place_devices(&layout, area, n, seed);
         let stream = || Stream::new(seed, Purpose::Clusters, 0);
-        let clusters = emulated_clusters(&points, area, d_max, ClusterSettings { neighbours, limit_radius }, stream());
-        let expected = reference::clusters(&points, area, d_max, (neighbours as usize, limit_radius), stream());
+        let settings = ClusterSettings { neighbours, limit_radius };
+        let clusters = emulated_clusters(&points, area, d_max, settings, stream());
+        let expected = reference::clusters(&points, area, d_max, settings, stream());
         prop_assert_eq!(clusters, expected);
     }
 
@@ -60,8 +62,9 @@ proptest! {
         let points: Vec<Point> = places.iter().map(|&(x, y)| Point::new(f64::from(x), f64::from(y))).collect();
         let area = Area { width: 20.0, height: 20.0 };
         let stream = || Stream::new(seed, Purpose::Clusters, 0);
-        let clusters = emulated_clusters(&points, area, 1.5, ClusterSettings { neighbours, limit_radius }, stream());
-        let expected = reference::clusters(&points, area, 1.5, (neighbours as usize, limit_radius), stream());
+        let settings = ClusterSettings { neighbours, limit_radius };
+        let clusters = emulated_clusters(&points, area, 1.5, settings, stream());
+        let expected = reference::clusters(&points, area, 1.5, settings, stream());
         prop_assert_eq!(clusters, expected);
     }
 
@@ -79,7 +82,8 @@ proptest! {
     }
 }
 
-/// The comparison with random deployments covers clusters that are split, and devices that move between clusters.
+/// The comparison with random deployments covers clusters that are split, and devices that move between clusters. Only
+/// the reference runs here.
 #[test]
 fn clusters_of_random_deployments_are_split_and_change() {
     let area = Area {
@@ -90,9 +94,17 @@ fn clusters_of_random_deployments_are_split_and_change() {
     for seed in 0..40 {
         let points = place_devices(&Layout::Uniform, area, 60, seed);
         let stream = || Stream::new(seed, Purpose::Clusters, 0);
-        let unlimited = reference::clusters(&points, area, 4.0, (5, false), stream());
-        let limited = reference::clusters(&points, area, 4.0, (5, true), stream());
-        let without_votes = reference::clusters(&points, area, 4.0, (0, false), stream());
+        let clusters_with = |neighbours, limit_radius| {
+            let settings = ClusterSettings {
+                neighbours,
+                limit_radius,
+            };
+            reference::clusters(&points, area, 4.0, settings, stream())
+        };
+        let unlimited = clusters_with(5, false);
+        let limited = clusters_with(5, true);
+        // Only the reference accepts 0 neighbours.
+        let without_votes = clusters_with(0, false);
         split_deployments += usize::from(limited.len() > unlimited.len());
         changed_deployments += usize::from(without_votes != unlimited);
     }

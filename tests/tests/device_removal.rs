@@ -1,7 +1,9 @@
 //! Removed devices: they send nothing, their ledgers end, and runs with and without lookahead, a reconstruction and a
-//! replay have the same result. Removals over the bus are tested in `tests/program/`.
+//! replay have the same result. Removals over the bus are tested in `tests/program/`. A lossy radio and operator
+//! actions do not occur here.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::frames::FrameObserver;
@@ -17,10 +19,10 @@ use reveille_view::reconstruction::Reconstruction;
 
 const DEVICES: u32 = 50;
 const TTIS: u64 = 1000;
-/// Warm-up: a tenth of the TTIs, as in all presets.
+/// Warm-up: a tenth of [`TTIS`], as in all presets.
 const WARM_UP: u64 = 100;
 
-fn prepared(policy: &str) -> PreparedRun {
+fn prepare_policy(policy: &str) -> PreparedRun {
     prepare(&paper(&[
         &format!("devices={DEVICES}"),
         &format!("ttis={TTIS}"),
@@ -36,15 +38,19 @@ fn run(prepared: &PreparedRun, removals: &[DeviceRemoval], options: RunOptions) 
     (outcome, frames.into_inner())
 }
 
-/// Removal of `count` devices from `first` on, in TTI `tti`: after that number of its `wake_ups`, or before sensing
-/// (`None`).
-fn removal(first: u32, count: u32, tti: u64, wake_ups: Option<u32>) -> DeviceRemoval {
+/// Removal of `devices` in TTI `tti`: after that number of its `wake_ups`, or before sensing (`None`).
+fn removal(devices: Range<u32>, tti: u64, wake_ups: Option<u32>) -> DeviceRemoval {
     DeviceRemoval {
-        first: DeviceId(first),
-        count,
+        first: DeviceId(devices.start),
+        count: devices.end - devices.start,
         tti: Tti(tti),
         wake_ups,
     }
+}
+
+/// Removal of one device, otherwise as [`removal`].
+fn removal_of(device: DeviceId, tti: Tti, wake_ups: Option<u32>) -> DeviceRemoval {
+    removal(device.0..device.0 + 1, tti.0, wake_ups)
 }
 
 /// Returns the TTIs and senders of all reports, answers to wake-ups included.
@@ -56,8 +62,8 @@ fn reports(frames: &[Frame]) -> Vec<(Tti, DeviceId)> {
     frames.iter().filter_map(tti_and_sender).collect()
 }
 
-/// Returns the outcomes of wake-ups, TTI by TTI.
-fn wake_ups(frames: &[Frame]) -> Vec<(Tti, DeviceId, WakeOutcome)> {
+/// Returns the TTIs, devices and outcomes of wake-ups, in order.
+fn wake_up_outcomes(frames: &[Frame]) -> Vec<(Tti, DeviceId, WakeOutcome)> {
     let tti_device_and_outcome = |frame: &Frame| match frame.message() {
         Ok(Message::Woken(woken)) => Some((frame.tti, DeviceId(frame.number?), woken.outcome)),
         _ => None,
@@ -68,39 +74,41 @@ fn wake_ups(frames: &[Frame]) -> Vec<(Tti, DeviceId, WakeOutcome)> {
 /// Index of the removal between wake-ups in [`removals_of_all_kinds`].
 const BETWEEN_WAKE_UPS: usize = 1;
 
-/// Returns removals between events, in the TTI of a report, between wake-ups, and of many devices together. TTIs and
-/// devices are chosen from the `frames` of the undisturbed run.
+/// Returns removals in the TTI of a report, between wake-ups, of several hosts, and of all devices. In each list the
+/// earliest comes first. TTIs and devices are chosen from the `frames` of the undisturbed run.
 fn removals_of_all_kinds(frames: &[Frame]) -> Vec<Vec<DeviceRemoval>> {
-    let is_late = |tti: Tti| tti.0 > WARM_UP + 300;
-    let (reports, wake_ups) = (reports(frames), wake_ups(frames));
-    let (report_tti, reporter) = *reports.iter().find(|(tti, _)| is_late(*tti)).expect("a report");
-    let earlier_in_tti = |index: usize| {
-        let earlier = wake_ups[..index].iter();
-        earlier.filter(|wake_up| wake_up.0 == wake_ups[index].0).count() as u32
+    // Well after the warm-up, so that removals have effects before and after them.
+    let is_eligible = |tti: Tti| tti.0 > WARM_UP + 300;
+    let (reports, wake_ups) = (reports(frames), wake_up_outcomes(frames));
+    let (report_tti, reporter) = *reports.iter().find(|(tti, _)| is_eligible(*tti)).expect("a report");
+    let count_earlier_in_tti = |index: usize| {
+        let (tti, ..) = wake_ups[index];
+        wake_ups[..index].iter().filter(|(earlier, ..)| *earlier == tti).count() as u32
     };
-    let last_wake_up = (0..wake_ups.len())
-        .filter(|index| is_late(wake_ups[*index].0))
-        .max_by_key(|index| earlier_in_tti(*index))
+    // The last wake-up of the TTI with the most wake-ups.
+    let last_of_most = (0..wake_ups.len())
+        .filter(|index| is_eligible(wake_ups[*index].0))
+        .max_by_key(|index| count_earlier_in_tti(*index))
         .expect("wake-ups");
-    let (tti, device, _) = wake_ups[last_wake_up];
+    let (tti, device, _) = wake_ups[last_of_most];
     // Two processes together, each with a device that would have reported in that TTI.
-    let mut simultaneous = reports
+    let mut simultaneous_reports = reports
         .windows(2)
-        .filter(|pair| is_late(pair[0].0) && pair[0].0 == pair[1].0);
-    let simultaneous = simultaneous.next().expect("two reports in a TTI");
+        .filter(|pair| is_eligible(pair[0].0) && pair[0].0 == pair[1].0);
+    let report_pair = simultaneous_reports.next().expect("two reports in a TTI");
     vec![
-        vec![removal(reporter.0, 1, report_tti.0, None)],
-        vec![removal(device.0, 1, tti.0, Some(earlier_in_tti(last_wake_up)))],
+        vec![removal_of(reporter, report_tti, None)],
+        vec![removal_of(device, tti, Some(count_earlier_in_tti(last_of_most)))],
         vec![
-            removal(0, 10, 77, None),
-            removal(12, 3, tti.0, None),
-            removal(20, 9, tti.0 + 1, None),
+            removal(0..10, 77, None),
+            removal(12..15, tti.0, None),
+            removal(20..29, tti.0 + 1, None),
         ],
-        vec![removal(0, DEVICES, 800, None)],
-        vec![removal(0, DEVICES, 0, None)],
-        simultaneous
+        vec![removal(0..DEVICES, 800, None)],
+        vec![removal(0..DEVICES, 0, None)],
+        report_pair
             .iter()
-            .map(|(tti, device)| removal(device.0, 1, tti.0, None))
+            .map(|(tti, device)| removal_of(*device, *tti, None))
             .collect(),
     ]
 }
@@ -108,7 +116,7 @@ fn removals_of_all_kinds(frames: &[Frame]) -> Vec<Vec<DeviceRemoval>> {
 #[test]
 fn removed_devices_send_nothing() {
     for policy in ["knn", "age-index"] {
-        let prepared = prepared(policy);
+        let prepared = prepare_policy(policy);
         let (_, frames) = run(&prepared, &[], RunOptions::default());
         for removals in removals_of_all_kinds(&frames) {
             let (outcome, frames_with_removals) = run(&prepared, &removals, RunOptions::default());
@@ -118,7 +126,7 @@ fn removed_devices_send_nothing() {
                     .into_iter()
                     .filter(|(tti, device)| removal.contains(*device) && is_after(*tti));
                 assert_eq!(reports_of_removed.next(), None, "{policy}, {removal:?}");
-                for (tti, device, outcome) in wake_ups(&frames_with_removals) {
+                for (tti, device, outcome) in wake_up_outcomes(&frames_with_removals) {
                     let is_removed = removal.contains(device) && is_after(tti);
                     assert!(
                         !is_removed || outcome == WakeOutcome::Missed,
@@ -127,6 +135,7 @@ fn removed_devices_send_nothing() {
                 }
             }
             let removed_ttis = |removal: &DeviceRemoval| {
+                // The TTI of the removal still counts as a TTI of the device.
                 let first = WARM_UP.max(removal.tti.0 + 1);
                 u64::from(removal.count) * (TTIS - first)
             };
@@ -137,13 +146,13 @@ fn removed_devices_send_nothing() {
                 "{policy}, {removals:?}: removed_pct {}, expected share {removed_share}",
                 outcome.metrics.removed_pct
             );
-            let frames_before_removal = |frames: &[Frame]| {
+            let count_frames_before_removal = |frames: &[Frame]| {
                 let first = removals[0].tti;
                 frames.iter().take_while(|frame| frame.tti < first).count()
             };
             assert_eq!(
-                frames_before_removal(&frames_with_removals),
-                frames_before_removal(&frames),
+                count_frames_before_removal(&frames_with_removals),
+                count_frames_before_removal(&frames),
                 "{policy}"
             );
         }
@@ -152,12 +161,12 @@ fn removed_devices_send_nothing() {
 
 #[test]
 fn a_removal_between_two_wake_ups_affects_only_the_second() {
-    let prepared = prepared("knn");
+    let prepared = prepare_policy("knn");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
     let removal = removals_of_all_kinds(&frames)[BETWEEN_WAKE_UPS][0];
     let (_, frames_with_removal) = run(&prepared, &[removal], RunOptions::default());
     let wake_ups_in_tti = |frames: &[Frame]| {
-        let mut wake_ups = wake_ups(frames);
+        let mut wake_ups = wake_up_outcomes(frames);
         wake_ups.retain(|(tti, ..)| *tti == removal.tti);
         wake_ups
     };
@@ -172,7 +181,7 @@ fn a_removal_between_two_wake_ups_affects_only_the_second() {
 
 #[test]
 fn ledgers_of_removed_devices_end_at_the_removal() {
-    let prepared = prepared("age-index");
+    let prepared = prepare_policy("age-index");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
     // TTIs with messages other than events and plans, such as reports.
     let busy_ttis: Vec<Tti> = frames
@@ -187,8 +196,8 @@ fn ledgers_of_removed_devices_end_at_the_removal() {
     let quiet_tti = (700..TTIS)
         .find(|k| !busy_ttis.contains(&Tti(*k)))
         .expect("a TTI without reports");
-    let removal = removal(4, 11, quiet_tti, None);
-    let (outcome, _) = run(&prepared, &[removal], RunOptions::default());
+    let removed = removal(4..15, quiet_tti, None);
+    let (outcome, _) = run(&prepared, &[removed], RunOptions::default());
     let mut undisturbed = Run::new(&prepared, RunOptions::default());
     undisturbed.advance(Tti(quiet_tti + 1), &mut ());
     let expected_ledgers: Vec<Ledger> = undisturbed.ledgers(DeviceId(4), 11);
@@ -199,7 +208,7 @@ fn ledgers_of_removed_devices_end_at_the_removal() {
 #[test]
 fn a_run_with_removals_equals_its_reconstruction_and_a_run_without_lookahead() {
     for policy in ["knn", "age-index"] {
-        let prepared = prepared(policy);
+        let prepared = prepare_policy(policy);
         let (_, frames) = run(&prepared, &[], RunOptions::default());
         for removals in removals_of_all_kinds(&frames) {
             let (outcome, frames) = run(&prepared, &removals, RunOptions::default());
@@ -230,13 +239,13 @@ fn a_run_with_removals_equals_its_reconstruction_and_a_run_without_lookahead() {
 
 #[test]
 fn a_replay_accepts_a_removal_in_an_earlier_tti() {
-    let prepared = prepared("knn");
-    let removal = removal(3, 9, 600, None);
-    let (outcome, _) = run(&prepared, &[removal], RunOptions::default());
+    let prepared = prepare_policy("knn");
+    let removed = removal(3..12, 600, None);
+    let (outcome, _) = run(&prepared, &[removed], RunOptions::default());
     for replayed_until in [10, 601, 900] {
         let mut replay = Replay::new(&prepared, &ExternalInputs::default(), Tti::ZERO);
         replay.checkpoints(Tti(replayed_until), DeviceId(0), 1);
-        replay.add_input(ExternalInput::Removal(removal));
+        replay.add_input(ExternalInput::Removal(removed));
         assert_eq!(
             replay.outcome(Tti(TTIS)),
             outcome,

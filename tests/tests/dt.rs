@@ -8,6 +8,7 @@ use reveille_tests::scenarios::overrides;
 
 const UNTRAINED: &str = "policy.dt.model=untrained";
 
+/// Loads the preset `paper` with the policy and `fields`, or returns the error message.
 fn try_load(policy: &str, fields: &[&str]) -> Result<Scenario, String> {
     let name = format!("policy.name={policy}");
     let fields = [&["ttis=200", "devices=40"], fields, &[name.as_str()]].concat();
@@ -19,11 +20,11 @@ fn scenario(policy: &str, fields: &[&str]) -> Scenario {
     try_load(policy, fields).expect("a scenario")
 }
 
-/// Protects: a model changes only learned decisions. A model that predicts exactly the value from age and α decides
-/// exactly like `age-index` if failed wake-ups are not charged.
+/// Protects: a model changes only learned decisions. An untrained model predicts exactly the value from age and α, so
+/// it decides exactly like `age-index` if failed wake-ups are not charged (`miss_cost = 0`).
 #[test]
 fn an_untrained_model_equals_age_index() {
-    let mut does_charge_matter = false;
+    let mut does_miss_cost_matter = false;
     for fields in [
         &[][..],
         &["events.process=bursts"],
@@ -36,14 +37,14 @@ fn an_untrained_model_equals_age_index() {
             age_index_digest,
             "{fields:?}"
         );
-        does_charge_matter |= dt_digest(&[UNTRAINED, "policy.dt.miss_cost=1"]) != age_index_digest;
+        does_miss_cost_matter |= dt_digest(&[UNTRAINED, "policy.dt.miss_cost=1"]) != age_index_digest;
         assert_ne!(
             dt_digest(&["policy.dt.miss_cost=0"]),
             age_index_digest,
             "the trained model changes no decision: {fields:?}"
         );
     }
-    assert!(does_charge_matter, "the charge changes no wake-up");
+    assert!(does_miss_cost_matter, "the charge changes no wake-up");
 }
 
 #[test]
@@ -62,6 +63,7 @@ fn a_model_whose_shape_differs_from_the_scenario_is_refused() {
         .expect("settings of dt");
     let shape = settings.weights.shape();
     assert_eq!((shape.memory, shape.width, shape.heads), (5, 24, 3));
+    // The shape of the shipped model: memory 8, width 32, 2 heads.
     assert!(try_load("dt", &["policy.dt.memory=8", "policy.dt.width=32", "policy.dt.heads=2"]).is_ok());
     for (fields, message_parts) in [
         (

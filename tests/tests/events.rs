@@ -1,5 +1,6 @@
-//! The durations and epicentres of all event processes (`EventProcess`), against closed forms. Start times in bursts
-//! are tested in `bursts.rs`.
+//! The durations and epicentres of events (`EventProcess`) under the processes `uniform`, `hot-spots` and
+//! `aftershocks`, against closed forms. `bursts` occurs in the last test only; `bursts.rs` tests its start times. The
+//! functions of `tests/src/distributions.rs` reject samples that are too small.
 
 use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::geometry::{Area, Point};
@@ -8,9 +9,10 @@ use reveille_tests::compare;
 use reveille_tests::distributions::{assert_bin_counts, assert_mean, assert_share, draw_events};
 use reveille_tests::scenarios::scenario;
 
-/// Accessor of a coordinate.
-type Axis = fn(&Point) -> f64;
+/// Accessor of a coordinate, x or y.
+type Coordinate = fn(&Point) -> f64;
 
+/// Returns the area of the scenario `text`, and the epicentres of its first `n` events.
 fn draw_epicentres(text: &str, n: usize) -> (Area, Vec<Point>) {
     let scenario = scenario(text);
     let events = draw_events(&scenario, n).into_iter();
@@ -61,9 +63,9 @@ fn hot_spots_have_their_share_of_the_events() {
             20_000,
         );
         let (_, uniform_epicentres) = draw_epicentres("seed = 8\n", 20_000);
-        let mut sorted: Vec<(u64, u64)> = epicentres.iter().map(|at| (at.x.to_bits(), at.y.to_bits())).collect();
-        sorted.sort_unstable();
-        let group_sizes: Vec<usize> = sorted.chunk_by(|a, b| a == b).map(<[_]>::len).collect();
+        let mut coordinate_bits: Vec<(u64, u64)> = epicentres.iter().map(|p| (p.x.to_bits(), p.y.to_bits())).collect();
+        coordinate_bits.sort_unstable();
+        let group_sizes: Vec<usize> = coordinate_bits.chunk_by(|a, b| a == b).map(<[_]>::len).collect();
         let hot_spot_sizes: Vec<f64> = group_sizes.iter().filter(|&&n| n > 1).map(|&n| n as f64).collect();
         assert_eq!(hot_spot_sizes.len(), places, "{hot_spot_sizes:?}");
         let pairs = epicentres.iter().zip(&uniform_epicentres);
@@ -98,7 +100,7 @@ fn epicentres_around_a_hot_spot_are_normally_distributed() {
     let (_, epicentres) = draw_epicentres(&text(sigma), 40_000);
     let offsets: Vec<(f64, f64)> = epicentres
         .iter()
-        .map(|at| ((at.x - hot_spot.x) / sigma, (at.y - hot_spot.y) / sigma))
+        .map(|epicentre| ((epicentre.x - hot_spot.x) / sigma, (epicentre.y - hot_spot.y) / sigma))
         .collect();
     let values = |moment: fn(f64, f64) -> f64| offsets.iter().map(move |&(x, y)| moment(x, y));
     assert_mean("x", values(|x, _| x), 0.0);
@@ -128,7 +130,7 @@ fn epicentres_are_reflected_at_the_edges_of_the_area() {
     };
     let hot_spot = draw_epicentres(&text(0.0), 1).1[0];
     let (_, epicentres) = draw_epicentres(&text(sigma), 40_000);
-    let axes: [(Axis, f64); 2] = [(|at| at.x, width), (|at| at.y, height)];
+    let axes: [(Coordinate, f64); 2] = [(|p| p.x, width), (|p| p.y, height)];
     for (coordinate, side) in axes {
         let normal_cdf = |x: f64| 0.5 * (1.0 + libm::erf((x - coordinate(&hot_spot)) / (sigma * 2.0_f64.sqrt())));
         let bins = 10;
@@ -139,13 +141,17 @@ fn epicentres_are_reflected_at_the_edges_of_the_area() {
             let (from, to) = (edge(i), edge(i + 1));
             let shifts = (-30..=30).map(|m| 2.0 * side * f64::from(m));
             shifts
-                .map(|by| normal_cdf(by + to) - normal_cdf(by + from) + normal_cdf(by - from) - normal_cdf(by - to))
+                .map(|shift| {
+                    let shifted = normal_cdf(shift + to) - normal_cdf(shift + from);
+                    let mirrored = normal_cdf(shift - from) - normal_cdf(shift - to);
+                    shifted + mirrored
+                })
                 .sum()
         };
         let probabilities: Vec<f64> = (0..bins).map(probability).collect();
         let mut counts = vec![0.0; bins];
-        for at in &epicentres {
-            counts[((coordinate(at) / side * bins as f64) as usize).min(bins - 1)] += 1.0;
+        for epicentre in &epicentres {
+            counts[((coordinate(epicentre) / side * bins as f64) as usize).min(bins - 1)] += 1.0;
         }
         assert_bin_counts("epicentres along an axis", &counts, &probabilities);
     }
@@ -162,29 +168,29 @@ fn aftershocks_are_uniform_within_their_radius() {
         40_000,
     );
     // Only where the whole circle is in the area.
-    let is_inner = |at: &Point| {
+    let is_inner = |p: &Point| {
         let far_edge = area.width - radius;
-        (radius..far_edge).contains(&at.x) && (radius..far_edge).contains(&at.y)
+        (radius..far_edge).contains(&p.x) && (radius..far_edge).contains(&p.y)
     };
     let steps = epicentres.windows(2).filter(|pair| is_inner(&pair[0]));
     let steps: Vec<(f64, f64)> = steps
         .map(|pair| ((pair[1].x - pair[0].x) / radius, (pair[1].y - pair[0].y) / radius))
         .collect();
     // Other events can also lie in the circle.
-    let chance = std::f64::consts::PI * radius * radius / area.surface();
+    let circle_share = std::f64::consts::PI * radius * radius / area.surface();
     let is_within_radius = |(x, y): &(f64, f64)| x * x + y * y <= 1.0;
     assert_share(
         "events near the previous one",
         steps.iter().map(is_within_radius),
-        probability + (1.0 - probability) * chance,
+        probability + (1.0 - probability) * circle_share,
     );
     let inside: Vec<(f64, f64)> = steps.iter().copied().filter(is_within_radius).collect();
     let mut rings = [0.0; 10];
     let mut sectors = [0.0; 12];
     for (x, y) in &inside {
         rings[((x * x + y * y) * 10.0) as usize] += 1.0;
-        let turn = libm::atan2(*y, *x) / std::f64::consts::TAU + 0.5;
-        sectors[((turn * 12.0) as usize).min(11)] += 1.0;
+        let turns = libm::atan2(*y, *x) / std::f64::consts::TAU + 0.5;
+        sectors[((turns * 12.0) as usize).min(11)] += 1.0;
     }
     assert_bin_counts("rings of equal area", &rings, &[0.1; 10]);
     assert_bin_counts("sectors", &sectors, &[1.0 / 12.0; 12]);
@@ -217,12 +223,12 @@ fn aftershocks_at_the_edge_are_uniform_in_the_part_of_the_circle_inside_the_area
     // Deviation of x, y and the squared distance from the previous event, from their mean over all possible points.
     let mut deviations = [const { Vec::new() }; 3];
     for pair in epicentres.windows(2) {
-        let (previous, at) = (pair[0], pair[1]);
-        assert!(area.contains(at), "{at:?} is outside the area");
+        let (previous, epicentre) = (pair[0], pair[1]);
+        assert!(area.contains(epicentre), "{epicentre:?} is outside the area");
         // 1e-12 m is more than the rounding error.
         assert!(
-            at.distance(previous) <= radius + 1e-12,
-            "{at:?} is far from {previous:?}"
+            epicentre.distance(previous) <= radius + 1e-12,
+            "{epicentre:?} is far from {previous:?}"
         );
         let (mut n, mut sums) = (0.0, [0.0; 3]);
         for point in points.iter().filter(|point| point.distance(previous) <= radius) {
@@ -234,12 +240,13 @@ fn aftershocks_at_the_edge_are_uniform_in_the_part_of_the_circle_inside_the_area
                 *sum += value;
             }
         }
-        for (index, value) in [at.x, at.y, at.distance_squared(previous)].into_iter().enumerate() {
+        let drawn_values = [epicentre.x, epicentre.y, epicentre.distance_squared(previous)];
+        for (index, value) in drawn_values.into_iter().enumerate() {
             deviations[index].push(value - sums[index] / n);
         }
     }
-    for (what, values) in ["x", "y", "squared distance"].into_iter().zip(deviations) {
-        assert_mean(what, values, 0.0);
+    for (quantity, values) in ["x", "y", "squared distance"].into_iter().zip(deviations) {
+        assert_mean(quantity, values, 0.0);
     }
 }
 
@@ -250,8 +257,8 @@ fn aftershocks_with_a_radius_beyond_the_area_are_independent_of_the_previous_eve
         20_000,
     );
     let centred = |value: f64, side: f64| value / side - 0.5;
-    let xs: Vec<f64> = epicentres.iter().map(|at| centred(at.x, area.width)).collect();
-    let ys: Vec<f64> = epicentres.iter().map(|at| centred(at.y, area.height)).collect();
+    let xs: Vec<f64> = epicentres.iter().map(|p| centred(p.x, area.width)).collect();
+    let ys: Vec<f64> = epicentres.iter().map(|p| centred(p.y, area.height)).collect();
     for values in [xs, ys] {
         assert_mean("coordinate", values.iter().copied(), 0.0);
         assert_mean(
@@ -268,7 +275,7 @@ fn aftershocks_with_a_radius_beyond_the_area_are_independent_of_the_previous_eve
 #[test]
 fn genie_and_random_get_the_same_events() {
     for process in ["uniform", "hot-spots", "aftershocks", "bursts"] {
-        let run = |policy: &str| {
+        let events_and_alpha = |policy: &str| {
             let scenario = scenario(&format!(
                 "devices = 20\nttis = 1500\n[events]\nprocess = \"{process}\"\nduration_kind = \"geometric\"\n\
                  [policy]\nname = \"{policy}\"\n"
@@ -279,7 +286,8 @@ fn genie_and_random_get_the_same_events() {
             let alpha = information / outcome.totals.ttis as f64 / outcome.metrics.info_p1;
             (events, alpha)
         };
-        let ((genie_events, genie_alpha), (random_events, random_alpha)) = (run("genie"), run("random"));
+        let ((genie_events, genie_alpha), (random_events, random_alpha)) =
+            (events_and_alpha("genie"), events_and_alpha("random"));
         assert!(
             (genie_alpha - random_alpha).abs() < 1e-12,
             "{process}: α {genie_alpha} under genie, {random_alpha} under random"

@@ -1,6 +1,7 @@
 //! External decisions in memory (`SteppedRun`): a run answered with the decisions of a built-in policy equals the run
-//! of that policy. Invalid wake-ups, truncated input logs and forks are tested too; the bus is tested in
-//! `tests/program/`.
+//! of that policy. Invalid wake-ups, truncated input logs and forks are tested too, and that a request does not reveal
+//! unreported events. The bus is tested in `tests/program/`. Minimum counts in the assertions ensure that a case occurs
+//! often enough.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::external::wire::{DecisionRequest, Hello};
@@ -26,6 +27,7 @@ use reveille_tests::compare::ONE_TTI_PER_GRANT;
 use reveille_tests::scenarios;
 use reveille_tests::transcript::CommandTranscript;
 
+/// Returns the overrides for a short run of `policy`, which `fields` can override again.
 fn overrides(policy: &str, fields: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
     scenarios::overrides(&[&[policy.as_str(), "devices=40", "ttis=1200"], fields].concat())
@@ -57,6 +59,7 @@ fn stepped_run(scenario: &Scenario, options: RunOptions) -> SteppedRun<CommandTr
 }
 
 /// Returns the digest of a run answered with the decisions of `transcript`, at most `max_wake_ups` wake-ups per answer.
+/// Plans are limited to one TTI, so one is requested in every TTI.
 fn digest_with_decisions(
     scenario: &Scenario,
     transcript: &CommandTranscript,
@@ -65,12 +68,12 @@ fn digest_with_decisions(
 ) -> Digest {
     let mut run = stepped_run(scenario, options);
     // Wake-ups of this TTI in earlier answers.
-    let mut answered_wake_ups = 0_usize;
+    let mut answered_count = 0_usize;
     while let Some(request) = run.pending_decision() {
         let k = request.observation.now;
         match request.stage {
             DecisionStage::Plan => {
-                answered_wake_ups = 0;
+                answered_count = 0;
                 run.decide(PlanDecision {
                     plan: transcript.plan_at(k),
                     next: k + 1,
@@ -78,9 +81,9 @@ fn digest_with_decisions(
             }
             DecisionStage::Wake => {
                 let wake_ups = transcript.wake_ups_in(k);
-                let answered_before = answered_wake_ups;
-                answered_wake_ups = wake_ups.len().min(answered_before.saturating_add(max_wake_ups));
-                run.wake(&wake_ups[answered_before..answered_wake_ups]);
+                let answered_before = answered_count;
+                answered_count = wake_ups.len().min(answered_before.saturating_add(max_wake_ups));
+                run.wake(&wake_ups[answered_before..answered_count]);
             }
         }
     }
@@ -91,7 +94,7 @@ fn digest_with_decisions(
 
 #[test]
 fn external_decisions_of_a_policy_give_its_digest() {
-    let lossy = [
+    let lossy_radio = [
         "radio.uplink_loss=0.2",
         "radio.plan_loss=0.1",
         "radio.wake_miss=0.1",
@@ -101,19 +104,20 @@ fn external_decisions_of_a_policy_give_its_digest() {
         &[],
         &["bs.battery_knowledge=reported", "bs.ranking=posterior"],
         &["sensing.kind=probabilistic", "sensing.eta=0.5", "harvest.lambda=0.02"],
-        &lossy,
+        &lossy_radio,
     ];
     let mut ttis_with_wake_ups = 0;
     for (policy, fields) in registry::names()
         .filter(|name| *name != "genie")
         .flat_map(|name| settings.map(|fields| (name, fields)))
     {
-        // A short search.
+        // Shorten the search.
         let policy_fields: &[&str] = match policy {
             "adjusted" => &["policy.adjusted.pilot_ttis=300", "policy.adjusted.t_drx=[8]"],
             _ => &[],
         };
-        let (transcript, expected_digest) = CommandTranscript::of(&built_in(policy, &[fields, policy_fields].concat()));
+        let (transcript, expected_digest) =
+            CommandTranscript::record(&built_in(policy, &[fields, policy_fields].concat()));
         ttis_with_wake_ups += transcript.wake_ups.len();
         let scenario = external(fields);
         for (options, max_wake_ups) in [
@@ -134,11 +138,11 @@ fn external_decisions_of_a_policy_give_its_digest() {
 /// A plan without an end is requested once, and the run is the same.
 #[test]
 fn an_unlimited_plan_is_not_requested_again() {
-    let (transcript, expected_digest) = CommandTranscript::of(&built_in("knn", &[]));
+    let (transcript, expected_digest) = CommandTranscript::record(&built_in("knn", &[]));
     let mut run = stepped_run(&external(&[]), RunOptions::default());
     let mut plan_requests = 0;
     while let Some(request) = run.pending_decision() {
-        match transcript.answer(request.stage, request.observation.now, |j| request.may_wake(j)) {
+        match transcript.decision(request.stage, request.observation.now, |j| request.may_wake(j)) {
             Decision::Plan(PlanDecision { plan, .. }) => {
                 plan_requests += 1;
                 let next = Tti::NEVER;
@@ -150,28 +154,35 @@ fn an_unlimited_plan_is_not_requested_again() {
     assert_eq!((plan_requests, run.finish().0.digest), (1, expected_digest));
 }
 
-/// Returns the full content of a decision request as text.
+/// Returns the full content of a decision request as text. A test compares requests by this text, so add every new
+/// field or accessor of `DecisionContext` and `Observation` here; the messages hold only the fields sent to a policy
+/// process.
 fn request_text(request: &DecisionContext<'_>) -> String {
-    let seen = &request.observation;
-    let n = request.observation.known.n() as u32;
-    let device_knowledge = |j| {
-        let j = DeviceId(j);
-        (seen.can_report(j), request.may_wake(j), seen.is_asleep(j))
+    let observation = &request.observation;
+    let n = observation.known.n() as u32;
+    let device_knowledge = |id| {
+        let j = DeviceId(id);
+        (observation.can_report(j), request.may_wake(j), observation.is_asleep(j))
     };
     let devices: Vec<(bool, bool, bool)> = (0..n).map(device_knowledge).collect();
-    let state = (seen.now, request.stage, seen.plan, seen.information);
+    let state = (
+        observation.now,
+        request.stage,
+        observation.plan,
+        observation.information,
+    );
     let mut device_features = vec![0.0; n as usize * DEVICE_FEATURES.len()];
     let (mut global_features, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
     request.write_devices(&mut device_features);
     request.write_globals(&mut global_features);
     request.write_mask(&mut mask);
     let features = (device_features, global_features, mask);
-    let hello = Hello::new("run".to_owned(), seen.known);
+    let hello = Hello::new("run".to_owned(), observation.known);
     let messages = (DecisionRequest::new(request, 0, "client"), hello);
-    let messages = String::from_utf8(Encoding::Json.encode(&messages)).expect("JSON");
+    let messages_json = String::from_utf8(Encoding::Json.encode(&messages)).expect("JSON");
     format!(
-        "{messages} {state:?} {:?} {:?} {:?} {devices:?} {features:?}",
-        seen.batteries, request.reports, request.woken
+        "{messages_json} {state:?} {:?} {:?} {:?} {devices:?} {features:?}",
+        observation.batteries, request.reports, request.woken
     )
 }
 
@@ -188,7 +199,7 @@ fn answer_randomly(run: &mut SteppedRun<CommandTranscript>, stream: &mut Stream)
             }),
             DecisionStage::Wake => {
                 let count = stream.below(4);
-                // The last 5 ids do not exist.
+                // Draws 5 ids that do not exist, too.
                 let devices: Vec<DeviceId> = (0..count).map(|_| DeviceId(stream.below(n + 5) as u32)).collect();
                 run.wake(&devices);
             }
@@ -224,7 +235,7 @@ fn invalid_wake_ups_and_plans_are_corrected() {
                     cycles[sensing_device] = DutyCycle::SENSING;
                     Plan::Periodic(cycles)
                 };
-                // A TTI in the past.
+                // A TTI in the past: the plan counts for this TTI only.
                 let next = Tti::ZERO;
                 run.decide(PlanDecision { plan, next });
             }
@@ -263,7 +274,7 @@ fn invalid_wake_ups_and_plans_are_corrected() {
     assert!(wake_answers > 30, "{wake_answers} answers with wake-ups");
     assert!(outcome.is_complete && transcript.plans.len() == 400);
     for (k, plan) in transcript.plans {
-        // Includes ids that do not exist.
+        // Includes ids that do not exist, from 40 on.
         let sensing_devices = (0..60).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k))).count();
         assert!(
             (1..=2).contains(&sensing_devices),
@@ -302,21 +313,21 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
         let is_wake_decision =
             |index: usize| decisions.get(index).map(|recorded| recorded.decision.stage()) == Some(DecisionStage::Wake);
         assert!((0..decisions.len()).filter(|index| is_wake_decision(*index)).count() > 20);
-        for length in 0..=decisions.len() {
+        for logged_count in 0..=decisions.len() {
             let mut run = Run::new(&prepared, RunOptions::default());
             run.schedule_inputs(&ExternalInputs {
-                decisions: decisions[..length].to_vec(),
+                decisions: decisions[..logged_count].to_vec(),
                 ..ExternalInputs::default()
             });
             let has_ended = run.advance(run_end, &mut ());
-            let missing_tti = decisions.get(length).map(|recorded| recorded.tti);
+            let missing_tti = decisions.get(logged_count).map(|recorded| recorded.tti);
             assert_eq!(
                 (run.missing_decision(), has_ended),
                 (missing_tti, missing_tti.is_none()),
-                "with {length} of {} decisions",
+                "with {logged_count} of {} decisions",
                 decisions.len()
             );
-            assert_eq!(run.cycle().is_open(), is_wake_decision(length));
+            assert_eq!(run.cycle().is_open(), is_wake_decision(logged_count));
             if missing_tti.is_none() {
                 assert_eq!(run.finish(&mut ()).digest, digest);
             }
@@ -327,9 +338,10 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
 #[test]
 fn a_fork_continues_independently() {
     let scenario = external(&["ttis=300", "bs.battery_knowledge=reported"]);
-    for answers in [120, 121, 122, 123, 124] {
+    // Consecutive counts, so that forks can occur at requests for plans and for wake-ups.
+    for answer_count in [120, 121, 122, 123, 124] {
         let mut run = stepped_run(&scenario, RunOptions::default());
-        for _ in 0..answers {
+        for _ in 0..answer_count {
             let request = run.pending_decision().expect("a request");
             let (k, n) = (request.observation.now, request.observation.known.n() as u64);
             match request.stage {
@@ -346,14 +358,14 @@ fn a_fork_continues_independently() {
             (requests, fork.finish().0.digest)
         });
         let requests = answer_randomly(&mut run, &mut Stream::new(1, Purpose::Training, 0));
-        let forked_run = (requests, run.finish().0.digest);
-        assert_eq!(forks[0], forked_run);
-        assert_eq!(forks[1], forked_run);
-        assert_ne!(forks[2], forked_run);
+        let original = (requests, run.finish().0.digest);
+        assert_eq!(forks[0], original);
+        assert_eq!(forks[1], original);
+        assert_ne!(forks[2], original);
     }
 }
 
-/// Generates events every few TTIs at random places.
+/// Generates events every few TTIs at random places, never two at a time.
 fn draw_script(scenario: &Scenario) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let event = |i: u64| ScriptedEvent {
@@ -372,7 +384,7 @@ fn the_position_of_an_unreported_event_changes_no_request() {
     for knowledge in ["reported", "oracle"] {
         let scenario = external(&["ttis=600", &format!("bs.battery_knowledge={knowledge}")]);
         let prepared = PreparedRun::without_pilots(&scenario);
-        let play = |script: &[ScriptedEvent]| {
+        let requests_and_transcript = |script: &[ScriptedEvent]| {
             let process = EventProcess::scripted(script.to_vec());
             let world = World::with_events(&scenario, &prepared.deployment, process);
             let mut run = stepped_run_in_world(&scenario, world, RunOptions::default());
@@ -380,7 +392,7 @@ fn the_position_of_an_unreported_event_changes_no_request() {
             (requests, run.finish().1)
         };
         let script = draw_script(&scenario);
-        let (requests, transcript) = play(&script);
+        let (requests, transcript) = requests_and_transcript(&script);
         let is_unseen = |at: Point, event: &ScriptedEvent| {
             let devices = prepared.deployment.devices.iter();
             let in_range = devices.filter(|device| device.position.distance(at) <= scenario.sensing.d_max);
@@ -406,7 +418,7 @@ fn the_position_of_an_unreported_event_changes_no_request() {
             }
         }
         assert!(moved_events >= 5, "only {moved_events} events could be moved");
-        let (requests_when_moved, transcript_when_moved) = play(&moved_script);
+        let (requests_when_moved, transcript_when_moved) = requests_and_transcript(&moved_script);
         assert!(
             requests == requests_when_moved,
             "{knowledge}: {moved_events} unseen events were moved, and a request differs"
@@ -419,7 +431,7 @@ fn the_position_of_an_unreported_event_changes_no_request() {
             .position(|event| event.tally.reports > 0)
             .expect("a reported event");
         moved_script[reported].epicentre = Point::new(0.01, 0.01);
-        assert!(requests != play(&moved_script).0);
+        assert!(requests != requests_and_transcript(&moved_script).0);
     }
 }
 

@@ -1,6 +1,6 @@
 //! A policy cannot see ground truth: a change that no base station can observe changes no plan, wake-up or belief of
 //! any policy of the registry. The exception is `genie`, which receives events. Hidden battery levels are not varied
-//! here.
+//! here, and the radio is perfect; `radio.rs` tests lost reports.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};
@@ -55,6 +55,7 @@ impl Observer for DecisionObserver {
     }
 }
 
+/// Runs the events of `script` and records the decisions.
 fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
     let process = EventProcess::scripted(script.to_vec());
     let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
@@ -63,13 +64,14 @@ fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
     observer
 }
 
-fn prepared(policy: &str, fields: &[&str]) -> PreparedRun {
+fn prepare_policy(policy: &str, fields: &[&str]) -> PreparedRun {
     let policy = format!("policy.name={policy}");
     let common_fields = [policy.as_str(), "devices=40", "ttis=1500", "events.duration=3"];
     prepare(&paper(&[&common_fields, fields].concat()))
 }
 
-/// Generates events every few TTIs at random places, with gaps in which some can be extended.
+/// Generates events every few TTIs at random places. An event ends at least 3 TTIs before the next starts, so that its
+/// duration can be raised to 5.
 fn draw_script(prepared: &PreparedRun) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
@@ -101,7 +103,9 @@ fn is_unseen(
     })
 }
 
-/// Returns the fields of each scenario in which `policy` is tested. They let some events pass unseen.
+/// Returns the fields of each scenario in which `policy` is tested. They must let at least 5 events pass that can be
+/// changed unseen, and let a policy that wakes devices wake some; the tests check both. A new policy without an arm
+/// here gets the last one.
 fn fields_of_scenarios(policy: &str) -> Vec<&'static [&'static str]> {
     match policy {
         // Part of the area is out of range, so that some events can be moved.
@@ -170,8 +174,9 @@ fn fields_of_scenarios(policy: &str) -> Vec<&'static [&'static str]> {
 
 #[test]
 fn a_base_station_knows_only_alpha_of_the_event_process() {
+    // Debug texts of all that a policy is built from.
     let knowledge_and_site = |fields: &[&str]| {
-        let prepared = prepared("knn", fields);
+        let prepared = prepare_policy("knn", fields);
         let site = format!("{:?}", prepared.scenario.site());
         (format!("{:?}", prepared.knowledge()), site)
     };
@@ -205,20 +210,20 @@ fn a_base_station_knows_only_alpha_of_the_event_process() {
 #[test]
 fn only_the_genie_can_access_ground_truth() {
     for policy in registry::POLICIES {
-        let prepared = prepared(policy.name, fields_of_scenarios(policy.name)[0]);
+        let prepared = prepare_policy(policy.name, fields_of_scenarios(policy.name)[0]);
         let has_oracle = prepared.policy(&prepared.knowledge()).oracle().is_some();
         assert_eq!(has_oracle, policy.name == "genie", "{}", policy.name);
         assert_eq!(has_oracle, policy.is_bound, "{}", policy.name);
     }
 }
 
-/// Returns the runs of all policies of the registry except `genie`, which receives events.
-fn prepared_runs() -> Vec<PreparedRun> {
+/// Prepares the runs of all policies of the registry except `genie`, which receives events.
+fn prepare_runs() -> Vec<PreparedRun> {
     let names = registry::names().filter(|name| *name != "genie");
     names
         .flat_map(|name| {
             let scenarios = fields_of_scenarios(name).into_iter();
-            scenarios.map(move |fields| prepared(name, fields))
+            scenarios.map(move |fields| prepare_policy(name, fields))
         })
         .collect()
 }
@@ -239,7 +244,7 @@ fn play_with_wake_ups(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Decis
 
 #[test]
 fn the_position_of_an_unreported_event_changes_no_decision() {
-    for prepared in prepared_runs() {
+    for prepared in prepare_runs() {
         let name = prepared.scenario.policy.name();
         let script = draw_script(&prepared);
         let original = play_with_wake_ups(&prepared, &script);
@@ -265,13 +270,13 @@ fn the_position_of_an_unreported_event_changes_no_decision() {
             "{name}: {moved_events} unseen events were moved, and a decision differs"
         );
         let mut pairs = original.events.iter().zip(&changed.events);
-        assert!(pairs.any(|(before, after)| before.epicentre != after.epicentre));
+        assert!(pairs.any(|(original, changed)| original.epicentre != changed.epicentre));
     }
 }
 
 #[test]
 fn the_duration_of_an_unreported_event_changes_no_decision() {
-    for prepared in prepared_runs() {
+    for prepared in prepare_runs() {
         let name = prepared.scenario.policy.name();
         let script = draw_script(&prepared);
         let original = play_with_wake_ups(&prepared, &script);
@@ -299,6 +304,6 @@ fn the_duration_of_an_unreported_event_changes_no_decision() {
             "{name}: the durations of {changed_events} unseen events were changed, and a decision differs"
         );
         let mut pairs = original.events.iter().zip(&changed.events);
-        assert!(pairs.any(|(before, after)| before.last != after.last));
+        assert!(pairs.any(|(original, changed)| original.last != changed.last));
     }
 }

@@ -1,5 +1,5 @@
 //! Lookahead (`RunOptions::lookahead`): it saves grants and does not change the outcome. Random scenarios are compared
-//! in `ledger.rs`.
+//! in `ledger.rs`, with windows too; here a run is one window.
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_lab::preparation::prepare;
@@ -8,12 +8,12 @@ use reveille_tests::scenarios::paper;
 
 const TTIS: u64 = 1500;
 
-fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
+fn prepare_policy(policy: &str, battery_knowledge: &str) -> PreparedRun {
     prepare(&paper(&[
         "devices=30",
         &format!("ttis={TTIS}"),
         &format!("policy.name={policy}"),
-        &format!("bs.battery_knowledge={knowledge}"),
+        &format!("bs.battery_knowledge={battery_knowledge}"),
     ]))
 }
 
@@ -26,19 +26,19 @@ fn run_counting_grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutc
             ..RunOptions::default()
         },
     );
-    let mut grants = 0;
+    let mut grant_count = 0;
     while run.cycle().next_tti().0 < TTIS {
         run.run_grant(&mut ());
-        grants += 1;
+        grant_count += 1;
     }
-    (grants, run.finish(&mut ()))
+    (grant_count, run.finish(&mut ()))
 }
 
 /// A grant is needed at most once per TTI in which a device may detect an event, and once per end of a window.
 #[test]
 fn lookahead_saves_grants_and_changes_no_outcome() {
     for policy in ["age-index", "q-learning", "random", "dt", "knn"] {
-        let prepared = prepared(policy, "reported");
+        let prepared = prepare_policy(policy, "reported");
         let (grants, outcome) = run_counting_grants(&prepared, true);
         let (grants_without_lookahead, outcome_without_lookahead) = run_counting_grants(&prepared, false);
         assert_eq!(outcome, outcome_without_lookahead, "{policy}");
@@ -52,7 +52,7 @@ fn lookahead_saves_grants_and_changes_no_outcome() {
 /// A policy that receives true battery levels has to wait for them.
 #[test]
 fn true_battery_levels_prevent_lookahead() {
-    let prepared = prepared("q-learning", "oracle");
+    let prepared = prepare_policy("q-learning", "oracle");
     let (grants, outcome) = run_counting_grants(&prepared, true);
     assert_eq!(grants, TTIS);
     assert_eq!(outcome, run_counting_grants(&prepared, false).1);

@@ -1,4 +1,5 @@
-//! Tests that call the crates and need no program. Every file of this folder is a module of this one binary.
+//! Tests that call the crates and need no program. Every file of this folder is a module of this one binary, which
+//! `tidy` checks. `cargo test -p reveille-tests` runs them.
 
 mod actions;
 mod adjusted;

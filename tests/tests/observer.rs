@@ -1,5 +1,5 @@
 //! An observer receives the same notifications, in the same order, from a run in memory and from a run over the bus.
-//! The host processes run in this process; frames and recordings are not checked here.
+//! The hosts run as tasks of this process; frames, recordings, lost hosts and operator actions are not checked here.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,11 +17,13 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::scenarios::paper;
 
+/// Time limit for connecting and joining on the bus.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Records every notification, and requests the states in every fifth TTI.
+/// Records every notification as its debug text, and requests the states in every fifth TTI.
 #[derive(Default)]
 struct NotificationRecorder {
+    /// Notifications, in order.
     lines: Vec<String>,
     closed_ttis: u64,
 }
@@ -51,20 +53,21 @@ fn notifications_in_memory(prepared: &PreparedRun, lookahead: bool) -> Vec<Strin
     recorder.lines
 }
 
-async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Vec<String> {
-    let run = "observer-test";
-    let bus = Bus::listen("tcp/127.0.0.1:0", run.parse().expect("a name"))
+/// Runs a base station and `host_count` hosts over the bus. They share the devices evenly.
+async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, host_count: u32) -> Vec<String> {
+    let run_name = "observer-test";
+    let bus = Bus::listen("tcp/127.0.0.1:0", run_name.parse().expect("a name"))
         .await
         .expect("a port");
     let devices = prepared.scenario.run.devices;
-    for host in 0..hosts {
+    for host in 0..host_count {
         let endpoint = bus.endpoint().to_owned();
         tokio::spawn(async move {
-            let host_bus = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
+            let host_bus = Bus::connect(&endpoint, run_name.parse().expect("a name"), PATIENCE)
                 .await
                 .expect("a link");
             let config = HostConfig {
-                max_devices: devices.div_ceil(hosts),
+                max_devices: devices.div_ceil(host_count),
                 name: format!("host {host} of a test"),
                 key: None,
                 patience: PATIENCE,
@@ -124,6 +127,7 @@ async fn notifications_in_memory_and_over_the_bus_are_equal() {
         "bs.battery_knowledge=reported",
     ];
     let with_lookahead = POLICIES.iter().map(|policy| (policy, true));
+    // One policy is enough without lookahead, whose effect `lookahead.rs` tests.
     let without_lookahead = POLICIES.iter().take(1).map(|policy| (policy, false));
     for (policy, lookahead) in with_lookahead.chain(without_lookahead) {
         let name = policy.name;

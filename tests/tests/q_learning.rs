@@ -14,13 +14,14 @@ use reveille_common::units::Energy;
 use reveille_tests::reference::{ReferenceAgeIndex, ReferenceDutySelector, choose_by_ages};
 use reveille_tests::scenarios::paper;
 
-/// Width and height of areas, m.
+/// Width and height of areas, m. The third is smaller than a sensing disc.
 const AREAS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
 
 fn units(x: f64) -> Energy {
     Energy::from_units(x).expect("an energy")
 }
 
+/// Battery and costs of all devices, with the values of the preset `paper` except a rounded `e_wur`.
 fn energy() -> EnergyModel {
     EnergyModel {
         e_max: units(100.0),
@@ -31,6 +32,7 @@ fn energy() -> EnergyModel {
     }
 }
 
+/// Returns parameters for a perfect radio. Only `lookback` affects the choice; the others affect learning.
 fn duty_parameters(lookback: Lookback) -> DutyParameters {
     DutyParameters {
         schedule: Schedule::default(),
@@ -45,14 +47,14 @@ fn duty_parameters(lookback: Lookback) -> DutyParameters {
     }
 }
 
-/// Draws a table in which the advantage of sensing rises with the covered area. It is near 0 for a low `bias`, and
-/// almost always positive for a high one.
+/// Draws a table in which the advantage of sensing rises with the covered area: from `bias` by 0.2 per area bucket,
+/// with random deviations of up to 4. It is mostly negative for a `bias` of −2.5, and mostly positive for 1.
 fn draw_table(stream: &mut Stream, bias: f64) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for (index, entry) in table.q.iter_mut().enumerate() {
         entry.value = 20.0 + 4.0 * (stream.unit() - 0.5);
         entry.visits = stream.below(5000) as u32;
-        // Every second entry is for sensing.
+        // The order of `DutyTable::q`: battery, area, δ. Every second entry is for sensing.
         if index % 2 == 1 {
             entry.value += bias + (index / 2 % AREA_BUCKETS) as f64 * 0.2;
         }
@@ -60,13 +62,13 @@ fn draw_table(stream: &mut Stream, bias: f64) -> DutyTable {
     table
 }
 
-/// Draws battery levels; one device in five cannot sense.
-fn draw_levels(devices: usize, stream: &mut Stream) -> Vec<Energy> {
+/// Draws battery levels for [`energy`]; about one device in five cannot sense and report.
+fn draw_levels(device_count: usize, stream: &mut Stream) -> Vec<Energy> {
     let level = |u: f64| units(if u < 0.2 { 50.0 * u } else { 100.0 * u });
-    (0..devices).map(|_| level(stream.unit())).collect()
+    (0..device_count).map(|_| level(stream.unit())).collect()
 }
 
-fn indices(devices: &[DeviceId]) -> Vec<usize> {
+fn to_indices(devices: &[DeviceId]) -> Vec<usize> {
     devices.iter().map(|device| device.index()).collect()
 }
 
@@ -76,7 +78,7 @@ proptest! {
     #[test]
     fn the_choice_equals_the_choice_of_the_reference(
         is_probabilistic in prop::bool::weighted(0.3), window in prop::sample::select(vec![1_u32, 2, 4]),
-        area_index in 0_usize..4, devices in 1_u32..40, seed: u64, bias in -2.5..1.0_f64,
+        area_index in 0..AREAS.len(), devices in 1_u32..40, seed: u64, bias in -2.5..1.0_f64,
     ) {
         let (width, height) = AREAS[area_index];
         let area = Area { width, height };
@@ -96,16 +98,16 @@ proptest! {
         let mut reference = ReferenceDutySelector::new(&points, area, &sensing, energy(), window as usize);
         for k in 0..6 {
             let levels = draw_levels(devices as usize, &mut stream);
-            let chosen = indices(&learner.choose(&levels));
+            let chosen = to_indices(&learner.choose(&levels));
             prop_assert_eq!(chosen, reference.choose(&table, &levels), "TTI {}, {:?}", k, sensing.kind);
         }
     }
 }
 
-/// Uses the shipped tables with their usual numbers of devices.
+/// Uses the shipped tables with their usual numbers of devices. `paper` selects them by default.
 #[test]
 fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
-    let mut sensing_count = 0;
+    let mut sensing_choices = 0;
     for (window, devices) in [(1, 250), (2, 100), (4, 100)] {
         let scenario = paper(&[
             "policy.name=q-learning",
@@ -127,12 +129,12 @@ fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
         let mut stream = Stream::new(u64::from(window), Purpose::Training, 1);
         for k in 0..2 * window {
             let levels = draw_levels(devices as usize, &mut stream);
-            let chosen = indices(&learner.choose(&levels));
-            sensing_count += chosen.len();
+            let chosen = to_indices(&learner.choose(&levels));
+            sensing_choices += chosen.len();
             assert_eq!(chosen, reference.choose(&table, &levels), "window {window}, TTI {k}");
         }
     }
-    assert!(sensing_count > 60, "only {sensing_count} sensing devices");
+    assert!(sensing_choices > 60, "only {sensing_choices} sensing devices");
 }
 
 #[test]
@@ -168,7 +170,7 @@ fn the_choice_with_ages_equals_the_choice_of_the_reference() {
         };
         for k in 0..10 {
             let levels = draw_levels(devices as usize, &mut stream);
-            let chosen = indices(&learner.choose(&levels));
+            let chosen = to_indices(&learner.choose(&levels));
             match choose_by_ages(&reference, &table, &energy(), &levels) {
                 Some(expected) => {
                     assert_eq!(chosen, expected, "seed {seed}, TTI {k}, {kind}");

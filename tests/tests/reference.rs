@@ -8,7 +8,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, TestRunner};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
-use reveille_common::score::{EventActivity, Metrics};
+use reveille_common::score::Metrics;
 use reveille_common::totals::{DeviceTotals, Ledger, RadioLosses, Totals};
 use reveille_lab::run::RunOptions;
 use reveille_tests::reference::ReferenceRun;
@@ -30,10 +30,7 @@ proptest! {
         prop_assert_eq!(events, expected.events.clone(), "events\n{}", text);
         let ledgers = compare::ledgers(&scenario, RunOptions { lookahead, ..RunOptions::default() });
         prop_assert_eq!(ledgers, expected.ledgers.clone(), "ledgers\n{}", text);
-        let activity = outcome.devices.iter().map(|device| {
-            let EventActivity { reports, wake_ups, received_wake_ups, wrong_activations } = device.activity;
-            [reports, wake_ups, received_wake_ups, wrong_activations]
-        });
+        let activity = outcome.devices.iter().map(|device| device.activity);
         prop_assert_eq!(activity.collect::<Vec<_>>(), expected.activity.clone(), "activity of devices\n{}", text);
         prop_assert_eq!(outcome.totals.energy, expected.measured, "measured energy\n{}", text);
         prop_assert_eq!(outcome.totals.losses, expected.losses, "losses\n{}", text);

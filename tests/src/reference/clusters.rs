@@ -1,9 +1,10 @@
 //! Clusters of devices in the reference, as in the `knn` policy (Sec. V-A, Algorithm 1), by exhaustive computation.
 //! They must equal the clusters of `bs/src/beliefs/clusters/` (`tests/tests/clusters.rs`) with the same draws in the
-//! same order, but share no code with it.
+//! same order, but share no code with it. Its limits of rounds are repeated here.
 
 use std::f64::consts::PI;
 
+use reveille_bs::beliefs::clusters::ClusterSettings;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::Stream;
 
@@ -13,40 +14,44 @@ const MAX_VOTING_ROUNDS: usize = 100;
 const MAX_SPLIT_ROUNDS: usize = 10;
 
 /// Computes the clusters of devices at `points`: devices in the order of numbers, clusters by their first device.
+/// `stream` must be new, with `Purpose::Clusters`. Without neighbours no device moves.
 ///
 /// M = ⌈ξ/(π d_max²)⌉ centres, with ξ the size of the area, are drawn from the devices, the first uniformly. Each other
 /// centre is drawn with probability proportional to its squared distance from the nearest centre so far. Every device
 /// joins its nearest centre. Then all devices simultaneously join the most frequent cluster among their `neighbours`
-/// nearest devices, until none moves. Ties go to the cluster with the nearer centroid. With `limit_radius` a cluster
-/// with a member farther than `d_max` from its mean is split in two, until every member is that near.
+/// nearest devices, until none moves, in at most `MAX_VOTING_ROUNDS` rounds. Ties go to the cluster with the nearer
+/// centroid. With `limit_radius` a cluster with a member farther than `d_max` from its mean is split in two, until
+/// every member is that near.
 pub fn clusters(
     points: &[Point],
     area: Area,
     d_max: f64,
-    (neighbours, limit_radius): (usize, bool),
+    settings: ClusterSettings,
     stream: Stream,
 ) -> Vec<Vec<usize>> {
-    let count = (area.width * area.height / (PI * d_max * d_max)).ceil() as usize;
-    let mut voting = ReferenceVoting::start(points, count.max(1).min(points.len()), stream);
-    let voters: Vec<Vec<usize>> = (0..points.len()).map(|j| nearest(points, j, neighbours)).collect();
+    let centre_count = (area.width * area.height / (PI * d_max * d_max)).ceil() as usize;
+    let mut voting = ReferenceVoting::start(points, centre_count.max(1).min(points.len()), stream);
+    let voters: Vec<Vec<usize>> = (0..points.len())
+        .map(|j| nearest(points, j, settings.neighbours as usize))
+        .collect();
     for _ in 0..MAX_VOTING_ROUNDS {
-        let before = voting.clone();
+        let previous_voting = voting.clone();
         voting.vote(&voters);
-        if voting == before {
+        if voting == previous_voting {
             break;
         }
     }
-    let mut clusters: Vec<Vec<usize>> = (0..voting.centroids.len())
+    let mut formed_clusters: Vec<Vec<usize>> = (0..voting.centroids.len())
         .map(|cluster| voting.members(cluster))
         .collect();
-    if limit_radius {
-        clusters = clusters
+    if settings.limit_radius {
+        formed_clusters = formed_clusters
             .into_iter()
             .flat_map(|cluster| split(points, cluster, d_max))
             .collect();
     }
-    clusters.sort();
-    clusters
+    formed_clusters.sort();
+    formed_clusters
 }
 
 fn squared_distance(a: Point, b: Point) -> f64 {
@@ -78,23 +83,25 @@ struct ReferenceVoting<'a> {
     points: &'a [Point],
     /// Cluster of each device.
     cluster_of: Vec<usize>,
+    /// Mean position of each cluster.
     centroids: Vec<Point>,
 }
 
 impl<'a> ReferenceVoting<'a> {
-    fn start(points: &'a [Point], count: usize, mut stream: Stream) -> Self {
+    /// Draws `centre_count` centres, at most one per device, and forms their clusters.
+    fn start(points: &'a [Point], centre_count: usize, mut stream: Stream) -> Self {
         let mut centroids: Vec<Point> = Vec::new();
         // By device, the squared distance from the nearest centre so far.
-        let mut distances = vec![f64::INFINITY; points.len()];
-        for _ in 0..count {
-            let drawn = if centroids.is_empty() {
+        let mut squared_distances = vec![f64::INFINITY; points.len()];
+        for _ in 0..centre_count {
+            let drawn_device = if centroids.is_empty() {
                 stream.below(points.len() as u64) as usize
             } else {
-                draw_index(&distances, stream.unit())
+                draw_index(&squared_distances, stream.unit())
             };
-            centroids.push(points[drawn]);
-            for (j, distance) in distances.iter_mut().enumerate() {
-                *distance = distance.min(squared_distance(points[j], points[drawn]));
+            centroids.push(points[drawn_device]);
+            for (j, squared) in squared_distances.iter_mut().enumerate() {
+                *squared = squared.min(squared_distance(points[j], points[drawn_device]));
             }
         }
         let closest_centre = |p: &Point| {
@@ -108,16 +115,18 @@ impl<'a> ReferenceVoting<'a> {
             cluster_of: points.iter().map(closest_centre).collect(),
             centroids,
         };
-        voting.settle();
+        voting.recentre_and_fill();
         voting
     }
 
+    /// Returns the devices of a cluster, by number.
     fn members(&self, cluster: usize) -> Vec<usize> {
         (0..self.points.len())
             .filter(|&j| self.cluster_of[j] == cluster)
             .collect()
     }
 
+    /// Moves each centroid to the mean of its devices; the centroid of an empty cluster stays.
     fn recentre(&mut self) {
         for cluster in 0..self.centroids.len() {
             let members = self.members(cluster);
@@ -128,23 +137,24 @@ impl<'a> ReferenceVoting<'a> {
     }
 
     /// Recomputes the centroids as means and fills each empty cluster: it takes the device farthest from its centroid,
-    /// among clusters with more than one device. The distances are not updated between two of them.
-    fn settle(&mut self) {
+    /// among clusters with more than one device. The order of distances stays the same for all empty clusters.
+    fn recentre_and_fill(&mut self) {
         self.recentre();
         let distance_from_centroid = |j: usize| squared_distance(self.points[j], self.centroids[self.cluster_of[j]]);
         let mut farthest_first: Vec<usize> = (0..self.points.len()).collect();
         farthest_first.sort_by(|&a, &b| distance_from_centroid(b).total_cmp(&distance_from_centroid(a)));
-        let mut next = 0;
+        let mut next_farthest = 0;
         let empty_clusters: Vec<usize> = (0..self.centroids.len())
             .filter(|&cluster| self.members(cluster).is_empty())
             .collect();
         for &cluster in &empty_clusters {
-            while next < farthest_first.len() && self.members(self.cluster_of[farthest_first[next]]).len() < 2 {
-                next += 1;
+            let is_alone = |j: usize| self.members(self.cluster_of[j]).len() < 2;
+            while next_farthest < farthest_first.len() && is_alone(farthest_first[next_farthest]) {
+                next_farthest += 1;
             }
-            if next < farthest_first.len() {
-                self.cluster_of[farthest_first[next]] = cluster;
-                next += 1;
+            if next_farthest < farthest_first.len() {
+                self.cluster_of[farthest_first[next_farthest]] = cluster;
+                next_farthest += 1;
             }
         }
         if !empty_clusters.is_empty() {
@@ -159,13 +169,13 @@ impl<'a> ReferenceVoting<'a> {
                 let is_vote = |voter: &&usize| self.cluster_of[**voter] == cluster;
                 voters[j].iter().filter(is_vote).count()
             };
-            let most = (0..self.centroids.len()).map(votes).max().unwrap_or(0);
+            let most_votes = (0..self.centroids.len()).map(votes).max().unwrap_or(0);
             // A single device has no neighbours and stays.
-            if most == 0 {
+            if most_votes == 0 {
                 return self.cluster_of[j];
             }
             let mut best: Option<(f64, usize)> = None;
-            for cluster in (0..self.centroids.len()).filter(|&cluster| votes(cluster) == most) {
+            for cluster in (0..self.centroids.len()).filter(|&cluster| votes(cluster) == most_votes) {
                 let distance = squared_distance(self.points[j], self.centroids[cluster]);
                 if best.is_none_or(|(least, _)| distance < least) {
                     best = Some((distance, cluster));
@@ -174,7 +184,7 @@ impl<'a> ReferenceVoting<'a> {
             best.map_or(self.cluster_of[j], |(_, cluster)| cluster)
         };
         self.cluster_of = (0..self.points.len()).map(chosen_cluster).collect();
-        self.settle();
+        self.recentre_and_fill();
     }
 }
 
@@ -200,39 +210,39 @@ fn split(points: &[Point], cluster: Vec<usize>, d_max: f64) -> Vec<Vec<usize>> {
         return vec![cluster];
     }
     let farthest = |from: Point| {
-        let mut farthest = from;
+        let mut best = from;
         for &j in &cluster {
-            if squared_distance(points[j], from) > squared_distance(farthest, from) {
-                farthest = points[j];
+            if squared_distance(points[j], from) > squared_distance(best, from) {
+                best = points[j];
             }
         }
-        farthest
+        best
     };
-    let first = farthest(middle);
-    let mut ends = (first, farthest(first));
+    let first_pole = farthest(middle);
+    let mut poles = (first_pole, farthest(first_pole));
     let mut halves = (cluster.clone(), Vec::new());
     for _ in 0..MAX_SPLIT_ROUNDS {
-        let is_first = |j: &&usize| squared_distance(points[**j], ends.0) <= squared_distance(points[**j], ends.1);
-        let (a, b): (Vec<usize>, Vec<usize>) = (
-            cluster.iter().filter(is_first).copied().collect(),
-            cluster.iter().filter(|j| !is_first(j)).copied().collect(),
+        let is_in_first = |j: &&usize| squared_distance(points[**j], poles.0) <= squared_distance(points[**j], poles.1);
+        let (first, second): (Vec<usize>, Vec<usize>) = (
+            cluster.iter().filter(is_in_first).copied().collect(),
+            cluster.iter().filter(|j| !is_in_first(j)).copied().collect(),
         );
-        if a.is_empty() || b.is_empty() || a == halves.0 {
+        if first.is_empty() || second.is_empty() || first == halves.0 {
             break;
         }
-        ends = (mean(points, &a), mean(points, &b));
-        halves = (a, b);
+        poles = (mean(points, &first), mean(points, &second));
+        halves = (first, second);
     }
-    let (a, b) = halves;
-    if b.is_empty() {
-        return vec![a];
+    let (first, second) = halves;
+    if second.is_empty() {
+        return vec![first];
     }
-    let mut parts = split(points, a, d_max);
-    parts.extend(split(points, b, d_max));
+    let mut parts = split(points, first, d_max);
+    parts.extend(split(points, second, d_max));
     parts
 }
 
-/// Distance between two points, metres.
+/// Distance between two points, metres. Used by all of the reference, so that it does not depend on `Point::distance`.
 pub(super) fn distance(a: Point, b: Point) -> f64 {
     ((a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y)).sqrt()
 }

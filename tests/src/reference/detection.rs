@@ -1,5 +1,5 @@
-//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes. Devices can fail
-//! here, but their processes are never lost.
+//! Detection in the reference, and the cause of a missed event, for `world.rs`. `docs/results.md` defines the causes.
+//! Devices can fail here, but their processes are never lost.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
@@ -17,20 +17,32 @@ pub(super) fn detects(scenario: &Scenario, event: u64, j: usize, d: f64) -> bool
     d <= sensing.d_max && unit_for_pair(scenario.run.seed, Purpose::Detection, event, j as u64) < probability
 }
 
-/// Returns the cause of a missed event. `obstacles` tells whether a device in range had δ = 1 without the energy to
-/// sense, did not receive a wake-up, could not pay for a report, or sent a report that was lost. `would_detect` has an
-/// entry for each device within d_max that had not failed throughout: whether it would detect the event.
-/// `is_out_of_reach` tells that no device is within d_max.
-pub(super) fn miss_cause(obstacles: [bool; 4], would_detect: &[bool], is_out_of_reach: bool) -> MissCause {
-    // In the order of `obstacles`: the last obstacle met is closest to a report.
-    let causes = [
-        MissCause::Unpowered,
-        MissCause::WakeMissed,
-        MissCause::NoEnergy,
-        MissCause::Lost,
-    ];
-    match obstacles.iter().rposition(|is_met| *is_met) {
-        Some(furthest) => causes[furthest],
+/// Obstacle to a report of an event that a device in range met, in the order in which a report meets them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Obstacle {
+    /// A device with δ = 1 would have detected the event, but lacked the energy to sense.
+    NoPowerToSense,
+    /// A device did not receive a wake-up.
+    MissedWakeUp,
+    /// A device could not pay for a report.
+    UnpaidReport,
+    /// A report was lost.
+    LostReport,
+}
+
+/// Returns the cause of a missed event. `furthest_obstacle` is the last obstacle met, the closest to a report.
+/// `would_detect` has an entry for each device within d_max that had not failed throughout: whether it would detect the
+/// event. `is_out_of_reach` tells that no device is within d_max.
+pub(super) fn miss_cause(
+    furthest_obstacle: Option<Obstacle>,
+    would_detect: &[bool],
+    is_out_of_reach: bool,
+) -> MissCause {
+    match furthest_obstacle {
+        Some(Obstacle::LostReport) => MissCause::Lost,
+        Some(Obstacle::UnpaidReport) => MissCause::NoEnergy,
+        Some(Obstacle::MissedWakeUp) => MissCause::WakeMissed,
+        Some(Obstacle::NoPowerToSense) => MissCause::Unpowered,
         None if is_out_of_reach => MissCause::OutOfReach,
         None if would_detect.is_empty() => MissCause::Removed,
         None if would_detect.contains(&true) => MissCause::Asleep,

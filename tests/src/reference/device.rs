@@ -9,11 +9,11 @@ use reveille_common::units::Energy;
 
 use super::harvest::ReferenceSource;
 
-/// Position of S1 in the energy by state.
+/// Index of the energy spent for sensing in S1 in [`Device::spent`].
 pub(super) const S1: usize = 0;
-/// Position of S4 in the energy by state.
+/// Index of the energy spent in S4, false and late wake-ups included, in [`Device::spent`].
 pub(super) const S4: usize = 1;
-/// Position of S3 in the energy by state; it includes the energy spent in S2.
+/// Index of the energy spent for reports in S3 in [`Device::spent`].
 pub(super) const S3: usize = 2;
 
 /// State of a device at the end of a step.
@@ -27,32 +27,42 @@ pub enum ReferenceState {
     Asleep,
     /// S4, unpowered after an action that the battery could not pay.
     Unpowered,
-    /// An operator has let the device fail.
+    /// Failed by an operator: it neither spends energy nor answers.
     Failed,
 }
 
-/// One device and its ledger, micro-units.
+/// One device and its ledger, micro-units. `world.rs` steps it and sets `state`, `battery_sum`, `low_ttis` and the
+/// other counts; this file keeps battery and energies consistent.
 #[derive(Clone, Debug)]
 pub(super) struct Device {
     pub(super) costs: EnergyModel,
     pub(super) source: ReferenceSource,
     pub(super) state: ReferenceState,
     pub(super) battery: u64,
+    /// Energy that arrived, from the source or an operator, overflow included.
     pub(super) harvested: u64,
-    /// Spent energy by state: [`S1`], [`S4`], [`S3`].
+    /// Spent energy, indexed by [`S1`], [`S4`] and [`S3`].
     spent: [u64; 3],
     pub(super) overflow: u64,
+    /// Sum of the battery levels at the ends of TTIs.
     pub(super) battery_sum: u128,
+    /// TTIs at whose end the battery cannot pay for a report.
     pub(super) low_ttis: u64,
+    /// TTIs with δ = 1, paid or not.
     pub(super) sensing_ttis: u64,
-    /// TTIs in which the battery could not pay for sensing; failures by operators are not counted.
-    pub(super) failed_ttis: u64,
+    /// TTIs with δ = 1 that the battery could not pay; `failed_ttis` of the totals.
+    pub(super) unpaid_sensing_ttis: u64,
+    /// TTIs with δ = 0 that the battery could not pay.
     pub(super) unpowered_ttis: u64,
+    /// False wake-ups, and wake-ups that came too late for their event.
     pub(super) false_wake_ups: u64,
-    /// Consecutive TTIs without power: current and longest.
-    pub(super) outage: [u64; 2],
+    /// Consecutive TTIs that the battery could not pay, up to now.
+    pub(super) current_outage: u64,
+    /// Longest outage since the end of the warm-up, TTIs.
+    pub(super) longest_outage: u64,
+    /// Totals at the end of the warm-up; `None` before it.
     pub(super) totals_at_warm_up_end: Option<DeviceTotals>,
-    /// The TTI in which an operator let the device fail, while it has failed.
+    /// TTI in which an operator made the device fail; `None` unless it is failed now.
     pub(super) failed_since: Option<u64>,
 }
 
@@ -69,17 +79,18 @@ impl Device {
             battery_sum: 0,
             low_ttis: 0,
             sensing_ttis: 0,
-            failed_ttis: 0,
+            unpaid_sensing_ttis: 0,
             unpowered_ttis: 0,
             false_wake_ups: 0,
-            outage: [0; 2],
+            current_outage: 0,
+            longest_outage: 0,
             totals_at_warm_up_end: None,
             failed_since: None,
         }
     }
 
-    /// Makes an operator's change before TTI `k`; this device has the number `id`.
-    pub(super) fn act(&mut self, id: DeviceId, k: u64, change: &Change) {
+    /// Applies an operator's change before TTI `k` if it concerns this device, whose number is `id`.
+    pub(super) fn apply_change(&mut self, id: DeviceId, k: u64, change: &Change) {
         match *change {
             Change::Fail(range) if range.contains(id) => self.failed_since = self.failed_since.or(Some(k)),
             Change::Revive(range) if range.contains(id) => self.failed_since = None,
@@ -88,24 +99,26 @@ impl Device {
         }
     }
 
-    /// Stores the energy `arriving`; what does not fit is overflow.
+    /// Stores the energy `arriving`; the part that does not fit is overflow.
     pub(super) fn store(&mut self, arriving: u64) {
-        let room = self.costs.e_max.micro() - self.battery;
-        let stored = arriving.min(room);
+        let free_capacity = self.costs.e_max.micro() - self.battery;
+        let stored = arriving.min(free_capacity);
         self.harvested += arriving;
         self.overflow += arriving - stored;
         self.battery += stored;
     }
 
-    /// Pays `cost`, or loses the remaining charge. Returns the energy that left the battery, and whether it was enough.
-    pub(super) fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
+    /// Pays `cost`, or loses the remaining charge. The energy counts under `spent_index`, [`S1`], [`S4`] or [`S3`].
+    /// Returns the energy that left the battery, and whether it was enough.
+    pub(super) fn pay(&mut self, cost: Energy, spent_index: usize) -> (u64, bool) {
         let is_enough = self.battery >= cost.micro();
         let spent = if is_enough { cost.micro() } else { self.battery };
         self.battery -= spent;
-        self.spent[state] += spent;
+        self.spent[spent_index] += spent;
         (spent, is_enough)
     }
 
+    /// Ledger up to now. Its measured part is empty before the end of the warm-up.
     pub(super) fn ledger(&self) -> Ledger {
         let whole = self.totals();
         Ledger {
@@ -113,10 +126,11 @@ impl Device {
             measured: self
                 .totals_at_warm_up_end
                 .map_or_else(DeviceTotals::default, |warm_up| whole - warm_up),
-            longest_outage: self.outage[1],
+            longest_outage: self.longest_outage,
         }
     }
 
+    /// Totals since TTI 0, the warm-up included.
     pub(super) fn totals(&self) -> DeviceTotals {
         let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
         DeviceTotals {
@@ -128,7 +142,7 @@ impl Device {
             battery_sum: self.battery_sum,
             low_ttis: self.low_ttis,
             sensing_ttis: self.sensing_ttis,
-            failed_ttis: self.failed_ttis,
+            failed_ttis: self.unpaid_sensing_ttis,
             unpowered_ttis: self.unpowered_ttis,
             false_wake_ups: self.false_wake_ups,
         }

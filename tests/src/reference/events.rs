@@ -1,4 +1,4 @@
-//! Start, epicentre and duration of events in the reference, computed TTI by TTI from the definition.
+//! Start, epicentre and duration of events in the reference, computed TTI by TTI from the definition, for `world.rs`.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
@@ -6,14 +6,17 @@ use reveille_common::event::{Aftershocks, DurationKind, EventBursts, HotSpots, P
 use reveille_common::geometry::{Area, Point};
 use reveille_common::rng::{Geometric, Purpose, Stream};
 
-/// Event process. Its clock also advances during an event.
+/// Event process. Its clock also advances during an event: call [`Self::advance`] once for each TTI, in order. Without
+/// an active event, [`Self::check_start`] follows. A start is followed by [`Self::draw_event`], the end of the event by
+/// [`Self::end_event`].
 #[derive(Clone, Debug)]
 pub(super) struct ReferenceEvents<'a> {
     scenario: &'a Scenario,
+    /// Phases of the process `bursts`.
     phases: Option<BurstPhases>,
     /// Start probability without phases.
     constant_alpha: f64,
-    /// Start probability in this TTI.
+    /// Start probability in this TTI; NaN before the first.
     alpha: f64,
     /// Number of the active event, or of the next.
     number: u64,
@@ -21,6 +24,7 @@ pub(super) struct ReferenceEvents<'a> {
     threshold: f64,
     /// Probability that no event has started since the last one ended.
     no_start_probability: f64,
+    /// Centres of the process `hot-spots`; empty for others.
     hot_spots: Vec<Point>,
     previous_epicentre: Option<Point>,
 }
@@ -32,7 +36,7 @@ struct BurstPhases {
     stream: Stream,
     is_busy: bool,
     /// TTIs until the phase ends.
-    left: u64,
+    remaining_ttis: u64,
 }
 
 impl BurstPhases {
@@ -43,9 +47,9 @@ impl BurstPhases {
             bursts,
             stream,
             is_busy,
-            left: 0,
+            remaining_ttis: 0,
         };
-        phases.left = phases.draw_length();
+        phases.remaining_ttis = phases.draw_length();
         phases
     }
 
@@ -59,12 +63,12 @@ impl BurstPhases {
     }
 
     /// Advances to the next TTI and returns its start probability.
-    fn next_tti(&mut self) -> f64 {
-        if self.left == 0 {
+    fn advance(&mut self) -> f64 {
+        if self.remaining_ttis == 0 {
             self.is_busy = !self.is_busy;
-            self.left = self.draw_length();
+            self.remaining_ttis = self.draw_length();
         }
-        self.left -= 1;
+        self.remaining_ttis -= 1;
         if self.is_busy {
             self.bursts.busy_alpha
         } else {
@@ -107,22 +111,23 @@ impl<'a> ReferenceEvents<'a> {
         self.number
     }
 
-    /// Changes the start probability from the next TTI on.
+    /// Changes the start probability from the next [`Self::advance`] on. Without effect under `bursts`.
     pub(super) const fn set_alpha(&mut self, alpha: f64) {
         self.constant_alpha = alpha;
     }
 
     /// Advances to the next TTI and returns the start probability if no event is active.
-    pub(super) fn next_tti(&mut self) -> f64 {
+    pub(super) fn advance(&mut self) -> f64 {
         self.alpha = match &mut self.phases {
-            Some(phases) => phases.next_tti(),
+            Some(phases) => phases.advance(),
             None => self.constant_alpha,
         };
         self.alpha
     }
 
-    /// Whether the next event starts in this TTI. Call once in each TTI without an active event.
-    pub(super) fn starts(&mut self) -> bool {
+    /// Updates the probability of no start by this TTI, and returns whether the next event starts now. Call once in
+    /// each TTI without an active event.
+    pub(super) fn check_start(&mut self) -> bool {
         self.no_start_probability *= 1.0 - self.alpha;
         self.no_start_probability < self.threshold
     }
@@ -142,11 +147,12 @@ impl<'a> ReferenceEvents<'a> {
 
     fn draw_threshold(&mut self) {
         // Above 0, so that `no_start_probability` can fall below it after α has been above 0 for long enough.
-        self.threshold = 1.0 - self.stream(Purpose::EventGap).unit();
+        self.threshold = 1.0 - self.event_stream(Purpose::EventGap).unit();
         self.no_start_probability = 1.0;
     }
 
-    fn stream(&self, purpose: Purpose) -> Stream {
+    /// Returns the stream of the active event, or of the next, for `purpose`.
+    fn event_stream(&self, purpose: Purpose) -> Stream {
         Stream::new(self.scenario.run.seed, purpose, self.number)
     }
 
@@ -155,7 +161,7 @@ impl<'a> ReferenceEvents<'a> {
         match self.scenario.events.duration_kind {
             DurationKind::Fixed => mean,
             DurationKind::Geometric => {
-                let threshold = 1.0 - self.stream(Purpose::EventDuration).unit();
+                let threshold = 1.0 - self.event_stream(Purpose::EventDuration).unit();
                 let (mut ttis, mut active_probability) = (0, 1.0);
                 while active_probability >= threshold {
                     ttis += 1;
@@ -168,7 +174,7 @@ impl<'a> ReferenceEvents<'a> {
 
     fn draw_epicentre(&self) -> Point {
         let area = self.scenario.area;
-        let mut stream = self.stream(Purpose::Attraction);
+        let mut stream = self.event_stream(Purpose::Attraction);
         match (self.scenario.events.process, self.previous_epicentre) {
             (ProcessSettings::HotSpots(HotSpots { share, sigma, .. }), _) if stream.unit() < share => {
                 // The draws must come in the emulator's order, since they share a stream.
@@ -194,7 +200,7 @@ impl<'a> ReferenceEvents<'a> {
                     }
                 }
             }
-            _ => draw_in_area(&mut self.stream(Purpose::Epicentre), area),
+            _ => draw_in_area(&mut self.event_stream(Purpose::Epicentre), area),
         }
     }
 }

@@ -1,5 +1,5 @@
 //! I_min of a deployment (Sec. V-A): the information in the closest device's report at the worst place, found by trying
-//! all candidate places.
+//! all candidate places. The time grows with the fourth power of the number of devices.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_common::geometry::{Area, Point};
@@ -8,10 +8,11 @@ use reveille_common::sensing::Sensing;
 use super::clusters::distance;
 
 /// Tolerance for places outside the area due to rounding, metres.
-const ROUNDING: f64 = 1e-9;
+const EDGE_TOLERANCE: f64 = 1e-9;
 
 /// Returns Ψ p(d*), where d* is the largest distance of a place in `area` from its nearest device. This distance is
-/// largest in corners, where three devices are equally near, or where the bisector of two devices meets the border.
+/// largest in corners, where three devices are equally near, or where the bisector of two devices meets the border. 0
+/// without devices.
 pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     let mut places = vec![
         Point::new(0.0, 0.0),
@@ -26,7 +27,8 @@ pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64
         }
     }
     let is_inside = |p: &&Point| {
-        (-ROUNDING..=area.width + ROUNDING).contains(&p.x) && (-ROUNDING..=area.height + ROUNDING).contains(&p.y)
+        (-EDGE_TOLERANCE..=area.width + EDGE_TOLERANCE).contains(&p.x)
+            && (-EDGE_TOLERANCE..=area.height + EDGE_TOLERANCE).contains(&p.y)
     };
     let distance_to_nearest = |p: &Point| {
         points
@@ -34,25 +36,26 @@ pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64
             .map(|&device| distance(device, *p))
             .fold(f64::INFINITY, f64::min)
     };
-    let farthest = places
+    let largest_distance = places
         .iter()
         .filter(is_inside)
         .map(distance_to_nearest)
         .fold(0.0, f64::max);
-    sensing.psi * libm::exp(-sensing.eta * farthest)
+    sensing.psi * libm::exp(-sensing.eta * largest_distance)
 }
 
-/// Returns the intersections of the perpendicular bisector of `a` and `b` with the border lines.
+/// Returns the intersections of the perpendicular bisector of `a` and `b` with the lines through the four sides of the
+/// area, also outside it. Empty if `a` and `b` coincide.
 fn equidistant_on_border(a: Point, b: Point, area: Area) -> Vec<Point> {
-    // The bisector |p − a|² = |p − b|² is the line n·p = c.
+    // The bisector |p − a|² = |p − b|² is the line n·p = offset.
     let (nx, ny) = (2.0 * (b.x - a.x), 2.0 * (b.y - a.y));
-    let c = b.x * b.x + b.y * b.y - a.x * a.x - a.y * a.y;
+    let offset = b.x * b.x + b.y * b.y - a.x * a.x - a.y * a.y;
     let mut places = Vec::new();
     for x in [0.0, area.width] {
-        places.push(Point::new(x, (c - nx * x) / ny));
+        places.push(Point::new(x, (offset - nx * x) / ny));
     }
     for y in [0.0, area.height] {
-        places.push(Point::new((c - ny * y) / nx, y));
+        places.push(Point::new((offset - ny * y) / nx, y));
     }
     places.retain(|p| p.x.is_finite() && p.y.is_finite());
     places

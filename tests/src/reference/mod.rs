@@ -1,8 +1,13 @@
-//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only data
-//! types, the scenario, positions, classes and random streams with the emulator, and draws from the streams in the same
-//! order. A change of results in the emulator needs the same change here.
+//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares with the
+//! emulator only data types, the scenario, positions, classes, and random streams with their distributions. It draws
+//! from the streams in the same order. A change of results in the emulator needs the same change here. `tests/tests/`
+//! compares both.
 //!
-//! If its own integration rule for `P_4,2` cannot separate two candidates, it stops and reports the TTI
+//! [`simulate`] runs whole scenarios under `knn`, `random`, `genie` and `adjusted` with `bs.ranking = p42`. It has
+//! operator actions, but no external decisions and no lost processes. Of `age-index` and `q-learning` only the choice
+//! of sensing devices is implemented ([`ReferenceAgeIndex`], [`ReferenceDutySelector`], [`choose_by_ages`]).
+//!
+//! If rounding or its own integration rule for `P_4,2` could change a decision, it stops and reports the TTI
 //! ([`ReferenceRun::ambiguous`]).
 
 mod age_index;
@@ -36,11 +41,17 @@ pub use world::ReferenceRun;
 use world::play;
 
 /// Runs `scenario` on the reference implementation.
+///
+/// # Panics
+/// If its policy is not `knn`, `random`, `genie` or `adjusted`.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {
     simulate_with_actions(scenario, &[])
 }
 
 /// Runs `scenario` on the reference implementation, with the `actions` of operators in the order of TTIs.
+///
+/// # Panics
+/// As [`simulate`].
 pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) -> ReferenceRun {
     let deployment = ReferenceDeployment::of(scenario);
     let policy = build_policy(scenario, &deployment.positions);
@@ -49,6 +60,9 @@ pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) ->
 
 /// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs. If that
 /// search is too close to call, takes over the emulator's pair.
+///
+/// # Panics
+/// As [`simulate`].
 pub fn build_policy(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
     match scenario.policy.name() {
         "adjusted" => ReferencePolicy::adjusted(

@@ -1,8 +1,9 @@
-//! Policies of the reference: duty cycles and wake-up choices.
+//! Policies of the reference: duty cycles and wake-up choices under `bs.ranking = p42`, for `world.rs`.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use std::f64::consts::PI;
 
+use reveille_bs::beliefs::clusters::ClusterSettings;
 use reveille_bs::policy::knn::KnnSettings;
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
@@ -23,21 +24,21 @@ const INFORMATION_TOLERANCE: f64 = 1e-9;
 pub enum ReferencePolicy {
     /// Clusters whose devices sense in turn.
     Knn {
-        /// Devices of each cluster, in order of id.
+        /// Devices of each cluster, in order of id. Every device is in one cluster.
         members: Vec<Vec<usize>>,
         /// `I_min`.
         i_min: f64,
     },
     /// One staggered duty cycle; every device is a wake-up candidate.
     Adjusted {
-        /// Position of each device in the order of offsets.
+        /// Offset of each device: its position in a random order of all devices.
         offsets: Vec<u64>,
         /// `t_on`.
         t_on: u64,
         /// `t_DRX`.
         t_drx: u64,
-        /// All devices as one cluster.
-        cluster: Vec<Vec<usize>>,
+        /// A single cluster with all devices, in the form of `Knn`.
+        members: Vec<Vec<usize>>,
         /// `I_min`.
         i_min: f64,
     },
@@ -56,13 +57,14 @@ pub(super) struct Situation<'a> {
     /// Whether the event starts in this TTI.
     pub(super) is_first_tti: bool,
     pub(super) epicentre: Point,
-    /// Devices whose reports had information.
+    /// Devices whose reports had information; all reported in this TTI.
     pub(super) reporters: &'a [Reporter],
-    /// Î.
+    /// Information Î gathered about the event so far.
     pub(super) information: f64,
     /// Devices woken in this TTI.
     pub(super) woken: &'a [usize],
-    /// By device, whether it can pay for a report, as known to the base station.
+    /// By device, whether it can pay for a report, as known to the base station. All true under a policy that does not
+    /// rank.
     pub(super) can_report: &'a [bool],
     /// Whether a powered device can fail to answer a wake-up.
     pub(super) answers_can_be_lost: bool,
@@ -88,7 +90,11 @@ pub(super) enum WakeUpChoice {
 }
 
 impl ReferencePolicy {
-    /// Creates the policy of `scenario` for devices at `positions`, if it needs no search.
+    /// Creates the policy of `scenario` for devices at `positions`: `genie`, `random` with its default cycles, or
+    /// `knn`. [`build_policy`](super::build_policy) also creates `adjusted`, which needs a search first.
+    ///
+    /// # Panics
+    /// If `scenario` has another policy.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         match scenario.policy.name() {
             "genie" => Self::Genie,
@@ -97,7 +103,7 @@ impl ReferencePolicy {
                     // The draws must come in the emulator's order, since they share a stream.
                     .map(|id| {
                         let mut stream = Stream::new(scenario.run.seed, Purpose::DutyCycle, id);
-                        // The default lists; other settings of `random` have no effect here.
+                        // The default lists in `bs/src/policy/random.rs`; a scenario with others is not supported.
                         let t_on = [1, 2][stream.below(2) as usize];
                         let t_drx = [2, 4, 8][stream.below(3) as usize];
                         (t_on, t_drx, stream.below(t_drx))
@@ -114,7 +120,10 @@ impl ReferencePolicy {
                     positions,
                     scenario.area,
                     scenario.sensing.d_max,
-                    (settings.neighbours as usize, settings.limit_radius),
+                    ClusterSettings {
+                        neighbours: settings.neighbours,
+                        limit_radius: settings.limit_radius,
+                    },
                     Stream::new(scenario.run.seed, Purpose::Clusters, 0),
                 );
                 Self::Knn {
@@ -126,7 +135,7 @@ impl ReferencePolicy {
         }
     }
 
-    /// Creates adjusted duty cycling with this pair and offsets from the seed of `scenario`.
+    /// Creates adjusted duty cycling with this pair, which the search found, and offsets from the seed of `scenario`.
     pub(super) fn adjusted(scenario: &Scenario, positions: &[Point], (t_on, t_drx): (u64, u64)) -> Self {
         // Fisher–Yates shuffle, from the last element.
         let mut offsets: Vec<u64> = (0..positions.len() as u64).collect();
@@ -138,7 +147,7 @@ impl ReferencePolicy {
             offsets,
             t_on,
             t_drx,
-            cluster: vec![(0..positions.len()).collect()],
+            members: vec![(0..positions.len()).collect()],
             i_min: least_information(positions, scenario.area, &scenario.sensing),
         }
     }
@@ -148,7 +157,7 @@ impl ReferencePolicy {
         matches!(self, Self::Knn { .. } | Self::Adjusted { .. })
     }
 
-    /// Returns δ of `device` in TTI `k`.
+    /// Returns δ of `device` in TTI `k`: whether its plan is to sense. A lost plan or an empty battery can prevent it.
     pub fn senses(&self, device: usize, k: u64) -> bool {
         match self {
             Self::Genie => false,
@@ -166,9 +175,9 @@ impl ReferencePolicy {
         }
     }
 
-    /// Derives the conditional state probabilities of other devices from a report by `device`, `d` metres from the
-    /// event.
-    pub(super) fn reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
+    /// Creates the reporter for a report by `device`, `d` metres from the event, with the conditional state
+    /// probabilities of other devices if the policy ranks.
+    pub(super) fn new_reporter(&self, scenario: &Scenario, positions: &[Point], device: usize, d: f64) -> Reporter {
         let mut correlation = Vec::new();
         if self.ranks() {
             for position in positions {
@@ -189,11 +198,13 @@ impl ReferencePolicy {
                 closest(situation).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
             }
             Self::Random(_) | Self::Genie => WakeUpChoice::Stop,
-            Self::Adjusted { cluster, i_min, .. } => self.most_correlated(situation, cluster, *i_min),
+            Self::Adjusted { members, i_min, .. } => self.most_correlated(situation, members, *i_min),
             Self::Knn { members, i_min } => self.most_correlated(situation, members, *i_min),
         }
     }
 
+    /// Chooses the candidate with the largest `P_4,2`, while Î is below `i_min`: a device in S4 of a reporter's cluster
+    /// that can report and was not yet woken.
     fn most_correlated(&self, situation: &Situation<'_>, members: &[Vec<usize>], i_min: f64) -> WakeUpChoice {
         if situation.reporters.is_empty() {
             return WakeUpChoice::Stop;
@@ -204,14 +215,15 @@ impl ReferencePolicy {
         if situation.information >= i_min {
             return WakeUpChoice::Stop;
         }
-        let least_p42 = libm::exp(-situation.scenario.sensing.eta * situation.scenario.sensing.d_max);
+        // P_4,2 of a device at d_max.
+        let min_p42 = libm::exp(-situation.scenario.sensing.eta * situation.scenario.sensing.d_max);
         let reporting_clusters: Vec<usize> = situation
             .reporters
             .iter()
-            .map(|h| cluster_of(members, h.device))
+            .map(|reporter| cluster_of(members, reporter.device))
             .collect();
         let mut best: Option<(P42, usize)> = None;
-        let mut candidates = Vec::new();
+        let mut candidate_values = Vec::new();
         for j in 0..situation.positions.len() {
             let is_candidate = !self.senses(j, situation.k)
                 && !situation.woken.contains(&j)
@@ -221,11 +233,11 @@ impl ReferencePolicy {
                 continue;
             }
             let p42 = largest_p42(situation, j);
-            if (p42.value - least_p42).abs() < P42_TOLERANCE {
+            if (p42.value - min_p42).abs() < P42_TOLERANCE {
                 return WakeUpChoice::Ambiguous;
             }
-            if p42.value >= least_p42 {
-                candidates.push(p42);
+            if p42.value >= min_p42 {
+                candidate_values.push(p42);
                 if best.is_none_or(|(largest, _)| p42.value > largest.value) {
                     best = Some((p42, j));
                 }
@@ -235,7 +247,7 @@ impl ReferencePolicy {
             return WakeUpChoice::Stop;
         };
         // An exact tie goes to the lower id under any integration rule.
-        if candidates
+        if candidate_values
             .iter()
             .any(|&other| other != largest && largest.value - other.value < P42_TOLERANCE)
         {
@@ -245,6 +257,7 @@ impl ReferencePolicy {
     }
 }
 
+/// Returns the index of the cluster that contains `device`.
 fn cluster_of(members: &[Vec<usize>], device: usize) -> usize {
     members
         .iter()
@@ -301,7 +314,7 @@ fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
     for i in 0..INTEGRATION_POINTS {
         let phi = PI * (f64::from(i) + 0.5) / f64::from(INTEGRATION_POINTS);
         let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
-        // Rounding can make the square negative where d = γ and φ is small.
+        // Rounding can make the square negative if d = γ and φ is small.
         sum += libm::exp(-eta * squared.max(0.0).sqrt());
     }
     sum / f64::from(INTEGRATION_POINTS)

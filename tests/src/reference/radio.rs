@@ -1,21 +1,25 @@
-//! Radio of the reference, computed TTI by TTI from the definition.
+//! Radio of the reference, computed TTI by TTI from the definition, for `world.rs`.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::radio::{self, InterferenceBursts, RadioLossRates};
+use reveille_common::radio::{InterferenceBursts, RadioLossRates, RadioSettings};
 use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 
-/// Radio of a run. Its clock advances whether or not anything is sent.
+/// Radio of a run. Its clock advances whether or not anything is sent: call [`Self::begin`] once for each TTI, in
+/// order, and then [`Self::draw_false_wake_up`] once for each device. A loss depends on device, TTI and kind of message
+/// only, so a repeated query has the same answer.
 #[derive(Clone, Debug)]
 pub(super) struct ReferenceRadio {
     seed: u64,
-    settings: radio::RadioSettings,
+    settings: RadioSettings,
+    /// Mean rates, as known to the base station.
     loss_rates: RadioLossRates,
     interference: Option<InterferencePhases>,
     /// By device, its random stream and the TTIs until its next false wake-up.
     false_wake_ups: Vec<(Stream, u64)>,
-    /// By device, whether a plan has reached it. All plans are equal.
+    /// By device, whether a plan has reached it. All plans of a run are equal, so that a later loss has no effect.
     has_plan: Vec<bool>,
+    /// Current TTI.
     k: u64,
 }
 
@@ -26,7 +30,7 @@ struct InterferencePhases {
     stream: Stream,
     is_burst: bool,
     /// TTIs until the phase ends.
-    left: u64,
+    remaining_ttis: u64,
 }
 
 impl InterferencePhases {
@@ -37,9 +41,9 @@ impl InterferencePhases {
             bursts,
             stream,
             is_burst,
-            left: 0,
+            remaining_ttis: 0,
         };
-        phases.left = phases.draw_length();
+        phases.remaining_ttis = phases.draw_length();
         phases
     }
 
@@ -52,12 +56,13 @@ impl InterferencePhases {
         Geometric::new(1.0 / mean).draw(&mut self.stream)
     }
 
-    fn next_tti(&mut self) {
-        if self.left == 0 {
+    /// Advances to the next TTI.
+    fn advance(&mut self) {
+        if self.remaining_ttis == 0 {
             self.is_burst = !self.is_burst;
-            self.left = self.draw_length();
+            self.remaining_ttis = self.draw_length();
         }
-        self.left -= 1;
+        self.remaining_ttis -= 1;
     }
 }
 
@@ -81,54 +86,60 @@ impl ReferenceRadio {
         }
     }
 
-    /// Begins TTI `k`, with a plan transmission if `is_sent`. Returns the number of devices that miss the plan. Call
+    /// Begins TTI `k`, with a broadcast of the plan if `is_plan_sent`. Returns the number of devices that miss it. Call
     /// once for each TTI, in order.
-    pub(super) fn begin(&mut self, k: u64, is_sent: bool) -> u64 {
+    pub(super) fn begin(&mut self, k: u64, is_plan_sent: bool) -> u64 {
         self.k = k;
         if let Some(interference) = &mut self.interference {
-            interference.next_tti();
+            interference.advance();
         }
-        let mut missed = 0;
-        for j in (0..self.has_plan.len()).filter(|_| is_sent) {
+        let mut missed_plans = 0;
+        for j in (0..self.has_plan.len()).filter(|_| is_plan_sent) {
             if self.is_lost(Purpose::PlanLoss, j, self.settings.plan_loss) {
-                missed += 1;
+                missed_plans += 1;
             } else {
                 self.has_plan[j] = true;
             }
         }
-        missed
+        missed_plans
     }
 
+    /// Whether a plan has reached device `j`.
     pub(super) fn has_plan(&self, j: usize) -> bool {
         self.has_plan[j]
     }
 
-    /// Draws whether a false wake-up occurs for device `j` in this TTI, if it sleeps. Call once per TTI.
+    /// Draws whether a false wake-up occurs for device `j` in this TTI, which has an effect only if it sleeps. Call
+    /// once per TTI, whatever its state.
     pub(super) fn draw_false_wake_up(&mut self, j: usize) -> bool {
-        let (stream, left) = &mut self.false_wake_ups[j];
+        let (stream, remaining_ttis) = &mut self.false_wake_ups[j];
         // A gap is at least 1, so this does not wrap.
-        *left -= 1;
-        let is_now = *left == 0;
+        *remaining_ttis -= 1;
+        let is_now = *remaining_ttis == 0;
         if is_now {
-            *left = Geometric::new(self.settings.false_wake_up).draw(stream);
+            *remaining_ttis = Geometric::new(self.settings.false_wake_up).draw(stream);
         }
         is_now
     }
 
+    /// Whether a wake-up of device `j` is lost in this TTI.
     pub(super) fn misses_wake_up(&self, j: usize) -> bool {
         self.is_lost(Purpose::WakeMiss, j, self.settings.wake_miss)
     }
 
+    /// Whether a report of device `j` is lost in this TTI.
     pub(super) fn loses_report(&self, j: usize) -> bool {
         self.is_lost(Purpose::UplinkLoss, j, self.settings.uplink_loss)
     }
 
-    /// Probability that plan loss or uplink loss prevents the report of a device that is planned to sense.
+    /// Probability that plan loss or uplink loss prevents the report of a device that is planned to sense, as known to
+    /// the base station.
     pub(super) fn silence_probability(&self) -> f64 {
         1.0 - (1.0 - self.loss_rates.plan_loss) * (1.0 - self.loss_rates.uplink_loss)
     }
 
-    /// Probability that a missed wake-up or uplink loss prevents the report of a woken device.
+    /// Probability that a missed wake-up or uplink loss prevents the report of a woken device, as known to the base
+    /// station.
     pub(super) fn no_answer_probability(&self) -> f64 {
         1.0 - (1.0 - self.loss_rates.wake_miss) * (1.0 - self.loss_rates.uplink_loss)
     }
@@ -143,7 +154,7 @@ impl ReferenceRadio {
 }
 
 /// Returns the mean loss probabilities over bursts and quiet phases.
-fn mean_loss_rates(settings: &radio::RadioSettings) -> RadioLossRates {
+fn mean_loss_rates(settings: &RadioSettings) -> RadioLossRates {
     let mean = |p: f64| match settings.bursts {
         None => p,
         Some(InterferenceBursts {

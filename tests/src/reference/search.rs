@@ -1,4 +1,5 @@
 //! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in runs of the reference.
+//! `tests/tests/adjusted.rs` compares it with the emulator's search.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
@@ -13,22 +14,26 @@ use super::i_min::least_information;
 use super::policy::ReferencePolicy;
 use super::world::play;
 
-/// Difference between the seeds of pilot runs and the run, as in the emulator.
+/// Difference between the seeds of pilot runs and the run, as in `lab/src/preparation.rs`.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
+/// Warm-up share of pilot runs, as in `lab/src/preparation.rs`.
+const PILOT_WARM_UP: f64 = 0.25;
 /// Information values closer than this can change order with the order of summation.
-const TOLERANCE: f64 = 1e-9;
+const INFORMATION_TOLERANCE: f64 = 1e-9;
 
-/// Pilot run of a pair.
+/// Outcome of the pilot run of a pair, over its measured part.
 struct PilotResult {
+    /// t_on and t_DRX.
     pair: (u64, u64),
     /// Information per event; `None` without events.
     information: Option<f64>,
-    /// Energy spent in the measured part, micro-units.
+    /// Energy spent by all devices, micro-units.
     spent: u64,
+    /// Number of counted events.
     events: u64,
 }
 
-/// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if a pilot run is too close to call.
+/// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if the search is too close to call.
 pub(super) fn search_or_emulated_if_close(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
     reference_search(scenario, positions).unwrap_or_else(|| {
         let emulated = prepare(scenario).pilot_choice.expect("the search finds a pair");
@@ -37,7 +42,10 @@ pub(super) fn search_or_emulated_if_close(scenario: &Scenario, positions: &[Poin
     })
 }
 
-/// Runs the search on the reference only; `None` if too close to call.
+/// Returns the pair (t_on, t_DRX) that the reference alone finds; `None` if too close to call.
+///
+/// # Panics
+/// If the policy of `scenario` is not `adjusted`.
 pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)> {
     let settings = scenario
         .policy
@@ -62,8 +70,7 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
     loop {
         let mut pilot_scenario = scenario.with_seed(scenario.run.seed.wrapping_add(PILOT_SEED_OFFSET));
         pilot_scenario.run.ttis = ttis;
-        // Same warm-up share as in the emulator's pilot runs.
-        pilot_scenario.run.warm_up = 0.25;
+        pilot_scenario.run.warm_up = PILOT_WARM_UP;
         let mut pilots = Vec::new();
         for &pair in &pairs {
             // The offsets come from the run itself, not from the pilot.
@@ -100,7 +107,10 @@ fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
         cheapest.map(|pilot| pilot.pair)
     };
     let information: Vec<f64> = pilots.iter().filter_map(|pilot| pilot.information).collect();
-    if information.iter().any(|value| (value - i_min).abs() < TOLERANCE) {
+    if information
+        .iter()
+        .any(|value| (value - i_min).abs() < INFORMATION_TOLERANCE)
+    {
         return None;
     }
     let reaches_i_min = |pilot: &PilotResult| pilot.information.is_some_and(|value| value >= i_min);
@@ -108,9 +118,11 @@ fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
         return Some(pair);
     }
     let most = information.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let mut leaders = pilots
-        .iter()
-        .filter(|pilot| pilot.information.is_some_and(|value| value > most - TOLERANCE));
+    let mut leaders = pilots.iter().filter(|pilot| {
+        pilot
+            .information
+            .is_some_and(|value| value > most - INFORMATION_TOLERANCE)
+    });
     match (leaders.next(), leaders.next()) {
         (None, _) => cheapest_pair(&|_| true),
         (Some(leader), None) => Some(leader.pair),
@@ -119,7 +131,7 @@ fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
         (Some(first), Some(_)) => {
             let is_exact_tie = information
                 .iter()
-                .filter(|value| **value > most - TOLERANCE)
+                .filter(|value| **value > most - INFORMATION_TOLERANCE)
                 .all(|value| value.to_bits() == most.to_bits());
             is_exact_tie.then_some(first.pair)
         }

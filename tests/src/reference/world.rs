@@ -1,4 +1,5 @@
-//! The model in the reference, TTI by TTI: devices, events and their outcomes.
+//! The model in the reference, TTI by TTI: devices, events and their outcomes. [`play`] defines the order of the steps,
+//! and each method names its step.
 //! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
@@ -6,13 +7,14 @@ use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::{Change, OperatorAction, Setting};
+use reveille_common::score::EventActivity;
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
 use super::deployment::ReferenceDeployment;
-use super::detection::{detects, miss_cause};
+use super::detection::{Obstacle, detects, miss_cause};
 use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
 use super::events::ReferenceEvents;
@@ -27,13 +29,14 @@ pub struct ReferenceRun {
     pub events: Vec<EventRecord>,
     /// Ledgers by device.
     pub ledgers: Vec<Ledger>,
-    /// By device, counts over the counted events: reports, wake-ups sent, wake-ups received, wrong activations.
-    pub activity: Vec<[u64; 4]>,
+    /// Activity of each device over the counted events.
+    pub activity: Vec<EventActivity>,
     /// Sum of the ledgers over the measured part.
     pub measured: DeviceTotals,
     /// Sums over the counted events.
     pub totals: EventTotals,
-    /// Mean probability, over the measured part, that an event starts in a TTI without an active event.
+    /// Mean probability, over the measured part, that an event starts in a TTI without an active event. NaN without a
+    /// measured TTI.
     pub start_probability: f64,
     /// Wake-ups sent in measured TTIs, for any event.
     pub wake_ups: u64,
@@ -43,7 +46,7 @@ pub struct ReferenceRun {
     pub wake_up_span_ttis: u64,
     /// Reports that arrived in measured TTIs.
     pub arrived_reports: u64,
-    /// Wake-ups that a device did not receive, in all TTIs.
+    /// Wake-ups that a device did not receive, in all TTIs; `losses` counts the measured ones.
     pub missed_wake_ups: u64,
     /// TTIs with wake-up decisions that excluded a device in S4, estimated as unable to report.
     pub exclusions: u64,
@@ -53,7 +56,8 @@ pub struct ReferenceRun {
     pub ambiguous: Option<u64>,
 }
 
-/// Runs `scenario` on `deployment` with `policy` and the `actions` of operators, in the order of TTIs.
+/// Runs `scenario` on `deployment` with `policy` and the `actions` of operators, in the order of TTIs. Stops at the
+/// first decision that is too close to call.
 pub(super) fn play(
     scenario: &Scenario,
     deployment: &ReferenceDeployment,
@@ -66,9 +70,9 @@ pub(super) fn play(
             world.begin_measuring();
         }
         for action in actions.iter().filter(|action| action.tti.0 == k) {
-            world.act(k, &action.change);
+            world.apply_change(k, &action.change);
         }
-        world.begin(k);
+        world.transmit_plan(k);
         world.harvest(k);
         world.apply_duty(k);
         world.start_event(k);
@@ -93,29 +97,47 @@ struct Event {
     information: f64,
     /// TTIs from the first report to the last.
     wake_up_span: u64,
-    /// The obstacles met, in the order of [`miss_cause`].
-    obstacles: [bool; 4],
-    /// Contributions of devices to [`ReferenceRun::activity`].
-    activity: Vec<(usize, [u64; 4])>,
+    /// The obstacle met that is closest to a report.
+    furthest_obstacle: Option<Obstacle>,
+    /// Contributions of devices to [`ReferenceRun::activity`], if the event counts.
+    activity: Vec<(usize, EventActivity)>,
     /// Devices whose reports had information. All are of this TTI: the event ends in the TTI of its first report.
     reporters: Vec<Reporter>,
 }
 
+impl Event {
+    /// Records an obstacle to a report.
+    fn meet(&mut self, obstacle: Obstacle) {
+        self.furthest_obstacle = self.furthest_obstacle.max(Some(obstacle));
+    }
+}
+
+/// State of a run. Fields without a comment are fields of [`ReferenceRun`] so far.
 struct ReferenceWorld<'a> {
+    /// Scenario of the run.
     scenario: &'a Scenario,
+    /// Positions of the devices.
     positions: Vec<Point>,
+    /// Devices, by number.
     devices: Vec<Device>,
+    /// Policy of the base station.
     policy: ReferencePolicy,
     /// The base station's battery estimates.
     estimates: Vec<ReferenceEstimate>,
+    /// First measured TTI.
     warm_up_end: u64,
-    event: Option<Event>,
-    process: ReferenceEvents<'a>,
+    /// Active event.
+    active_event: Option<Event>,
+    /// Starts, places and durations of events.
+    event_process: ReferenceEvents<'a>,
+    /// Message losses and false wake-ups.
     radio: ReferenceRadio,
-    /// Sum and number of the start probabilities in the measured part.
-    start_probability: (f64, f64),
+    /// Sum of the start probabilities of the measured TTIs so far.
+    start_probability_sum: f64,
+    /// Number of measured TTIs so far.
+    measured_ttis: f64,
     events: Vec<EventRecord>,
-    activity: Vec<[u64; 4]>,
+    activity: Vec<EventActivity>,
     wake_ups: u64,
     losses: RadioLosses,
     wake_up_span_ttis: u64,
@@ -128,42 +150,43 @@ struct ReferenceWorld<'a> {
 
 impl<'a> ReferenceWorld<'a> {
     fn new(scenario: &'a Scenario, deployment: &ReferenceDeployment, policy: ReferencePolicy) -> Self {
-        let mut devices_of_class = vec![0; scenario.classes.len()];
+        let mut device_counts = vec![0; scenario.classes.len()];
         let (mut devices, mut estimates) = (Vec::new(), Vec::new());
         for (id, &class) in deployment.classes.iter().enumerate() {
             let class = usize::from(class);
             let settings = &scenario.classes[class];
-            let (seed, nth) = (scenario.run.seed, devices_of_class[class]);
-            devices_of_class[class] += 1;
-            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, nth);
+            let (seed, nth) = (scenario.run.seed, device_counts[class]);
+            device_counts[class] += 1;
+            let known_mean = mean_harvest(&settings.harvest, scenario.run.tau, nth);
             let (expected_harvest, is_daylight) = match expected_day(&settings.harvest, scenario.run.tau) {
                 Some(day) => {
                     let is_daylight = (0..day.len() as u64).map(|k| is_day(&settings.harvest, k)).collect();
                     (day, is_daylight)
                 }
-                None => (vec![mean_harvest], vec![true]),
+                None => (vec![known_mean], vec![true]),
             };
             estimates.push(ReferenceEstimate::new(settings.energy, expected_harvest, is_daylight));
             let source = ReferenceSource::new(&settings.harvest, scenario.run.tau, seed, id as u64, nth);
             let source = if deployment.plays_traces {
                 source
             } else {
-                source.with_known_harvest(mean_harvest)
+                source.with_known_harvest(known_mean)
             };
             devices.push(Device::new(settings.energy, source));
         }
         Self {
             policy,
             estimates,
-            activity: vec![[0; 4]; deployment.positions.len()],
+            activity: vec![EventActivity::default(); deployment.positions.len()],
             scenario,
             positions: deployment.positions.clone(),
             devices,
             warm_up_end: (scenario.run.ttis as f64 * scenario.run.warm_up).floor() as u64,
-            event: None,
-            process: ReferenceEvents::new(scenario),
+            active_event: None,
+            event_process: ReferenceEvents::new(scenario),
             radio: ReferenceRadio::new(scenario, deployment.positions.len()),
-            start_probability: (0.0, 0.0),
+            start_probability_sum: 0.0,
+            measured_ttis: 0.0,
             events: Vec::new(),
             wake_ups: 0,
             losses: RadioLosses::default(),
@@ -176,18 +199,18 @@ impl<'a> ReferenceWorld<'a> {
         }
     }
 
-    /// Before TTI `k`: makes an operator's change.
-    fn act(&mut self, k: u64, change: &Change) {
+    /// Before TTI `k`: applies an operator's change. The price has no effect under the policies here.
+    fn apply_change(&mut self, k: u64, change: &Change) {
         for (device, id) in self.devices.iter_mut().zip((0..).map(DeviceId)) {
-            device.act(id, k, change);
+            device.apply_change(id, k, change);
         }
         if let Change::Set(Setting::EventRate, alpha) = *change {
-            self.process.set_alpha(alpha);
+            self.event_process.set_alpha(alpha);
         }
     }
 
-    /// Before step 1: transmits the plan.
-    fn begin(&mut self, k: u64) {
+    /// Before step 1: transmits the plan if it is due.
+    fn transmit_plan(&mut self, k: u64) {
         let is_plan_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
         let missed_plans = self.radio.begin(k, is_plan_sent);
         if k >= self.warm_up_end {
@@ -211,23 +234,22 @@ impl<'a> ReferenceWorld<'a> {
             let has_false_wake_up = self.radio.draw_false_wake_up(j);
             if device.failed_since.is_some() {
                 device.state = ReferenceState::Failed;
-                device.outage[0] = 0;
+                device.current_outage = 0;
                 continue;
             }
             let is_paid;
             let commanded_state = if self.policy.senses(j, k) && self.radio.has_plan(j) {
                 (_, is_paid) = device.pay(device.costs.e_idle, S1);
                 device.sensing_ttis += 1;
-                device.failed_ttis += u64::from(!is_paid);
+                device.unpaid_sensing_ttis += u64::from(!is_paid);
                 ReferenceState::Idle
             } else {
                 (_, is_paid) = device.pay(device.costs.e_wur, S4);
                 device.unpowered_ttis += u64::from(!is_paid);
                 ReferenceState::Asleep
             };
-            let [current, longest] = device.outage;
-            let current = if is_paid { 0 } else { current + 1 };
-            device.outage = [current, longest.max(current)];
+            device.current_outage = if is_paid { 0 } else { device.current_outage + 1 };
+            device.longest_outage = device.longest_outage.max(device.current_outage);
             device.state = if is_paid {
                 commanded_state
             } else {
@@ -245,23 +267,23 @@ impl<'a> ReferenceWorld<'a> {
 
     /// Step 3: start of an event.
     fn start_event(&mut self, k: u64) {
-        let alpha = self.process.next_tti();
+        let alpha = self.event_process.advance();
         if k >= self.warm_up_end {
-            self.start_probability.0 += alpha;
-            self.start_probability.1 += 1.0;
+            self.start_probability_sum += alpha;
+            self.measured_ttis += 1.0;
         }
-        if self.event.is_some() || !self.process.starts() {
+        if self.active_event.is_some() || !self.event_process.check_start() {
             return;
         }
-        let (epicentre, duration) = self.process.draw_event();
-        self.event = Some(Event {
+        let (epicentre, duration) = self.event_process.draw_event();
+        self.active_event = Some(Event {
             epicentre,
             start: k,
             duration,
             tally: EventTally::default(),
             information: 0.0,
             wake_up_span: 0,
-            obstacles: [false; 4],
+            furthest_obstacle: None,
             activity: Vec::new(),
             reporters: Vec::new(),
         });
@@ -269,13 +291,15 @@ impl<'a> ReferenceWorld<'a> {
 
     /// Steps 4 and 5: sensing and reports.
     fn sense(&mut self, k: u64) {
-        let Some(mut event) = self.event.take() else { return };
+        let Some(mut event) = self.active_event.take() else {
+            return;
+        };
         let mut reporters = Vec::new();
         for j in 0..self.devices.len() {
             let d = distance(self.positions[j], event.epicentre);
             if self.devices[j].state == ReferenceState::Idle && self.detects(j, d) {
                 debug_assert!(self.policy.senses(j, k));
-                if self.transmit(j, k, &mut event) {
+                if self.send_report(j, k, &mut event) {
                     self.estimates[j].record_report(k, self.devices[j].battery);
                     reporters.push((j, d));
                 }
@@ -284,15 +308,16 @@ impl<'a> ReferenceWorld<'a> {
                 && self.radio.has_plan(j)
                 && self.detects(j, d)
             {
-                event.obstacles[0] = true;
+                event.meet(Obstacle::NoPowerToSense);
             }
         }
         self.record_silence(k, &reporters);
-        self.event = Some(event);
+        self.active_event = Some(event);
     }
 
     /// Learns from missing reports if detection is certain within d_max. A device planned to sense would have reported
-    /// if it is within d_max of every point on the ring around a reporter.
+    /// if it is within d_max of every point on the ring around a reporter. `reporters` are the devices whose reports
+    /// arrived, with their distances from the event.
     fn record_silence(&mut self, k: u64, reporters: &[(usize, f64)]) {
         let sensing = &self.scenario.sensing;
         if sensing.kind != DetectionKind::Range {
@@ -300,33 +325,33 @@ impl<'a> ReferenceWorld<'a> {
         }
         for j in 0..self.devices.len() {
             let covers_ring = |&(h, d): &(usize, f64)| {
-                // The emulator's rounding margin: both must agree at the edge of the range.
+                // `ROUNDING_MARGIN` of `bs/src/battery_estimator/mod.rs`: both must agree at the edge of the range.
                 distance(self.positions[h], self.positions[j]) <= sensing.d_max * (1.0 - 1e-9) - d
             };
             let has_reported = reporters.iter().any(|&(h, _)| h == j);
             if self.policy.senses(j, k) && !has_reported && reporters.iter().any(covers_ring) {
                 let policy = &self.policy;
                 let loss_probability = self.radio.silence_probability();
-                self.estimates[j].record_silence(k, loss_probability, |k| policy.senses(j, k));
+                self.estimates[j].record_silence(k, loss_probability, |tti| policy.senses(j, tti));
             }
         }
     }
 
     /// Step 6: wake-ups. Returns false if the next wake-up is too close to call.
     fn wake(&mut self, k: u64) -> bool {
-        let Some(mut event) = self.event.take() else {
+        let Some(mut event) = self.active_event.take() else {
             return true;
         };
         let mut woken = Vec::new();
-        let can_report: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
+        let estimated_able: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
             let can_report =
-                |(j, estimate): (usize, &ReferenceEstimate)| estimate.can_report(k, |k| self.policy.senses(j, k));
+                |(j, estimate): (usize, &ReferenceEstimate)| estimate.can_report(k, |tti| self.policy.senses(j, tti));
             self.estimates.iter().enumerate().map(can_report).collect()
         } else {
             vec![true; self.devices.len()]
         };
-        let is_excluded = |(j, can_report): (usize, &bool)| !can_report && !self.policy.senses(j, k);
-        self.exclusions += u64::from(can_report.iter().enumerate().any(is_excluded));
+        let is_excluded = |(j, is_able): (usize, &bool)| !is_able && !self.policy.senses(j, k);
+        self.exclusions += u64::from(estimated_able.iter().enumerate().any(is_excluded));
         loop {
             let choice = self.policy.choose(&Situation {
                 scenario: self.scenario,
@@ -337,7 +362,7 @@ impl<'a> ReferenceWorld<'a> {
                 reporters: &event.reporters,
                 information: event.information,
                 woken: &woken,
-                can_report: &can_report,
+                can_report: &estimated_able,
                 answers_can_be_lost: self.radio.no_answer_probability() > 0.0,
             });
             let j = match choice {
@@ -349,7 +374,12 @@ impl<'a> ReferenceWorld<'a> {
             event.tally.wake_ups += 1;
             self.wake_ups += u64::from(k >= self.warm_up_end);
             let is_received = self.devices[j].state == ReferenceState::Asleep && !self.radio.misses_wake_up(j);
-            event.activity.push((j, [0, 1, u64::from(is_received), 0]));
+            let activity = EventActivity {
+                wake_ups: 1,
+                received_wake_ups: u64::from(is_received),
+                ..EventActivity::default()
+            };
+            event.activity.push((j, activity));
             // Wake-ups for an event are sent in order, each after the latency of the previous one.
             let awake_from = k + woken.len() as u64 * self.scenario.radio.wake_latency;
             let is_over = awake_from >= event.start.saturating_add(event.duration);
@@ -357,14 +387,14 @@ impl<'a> ReferenceWorld<'a> {
                 self.wake_too_late(j, k, &mut event);
                 false
             } else if is_received {
-                if self.transmit(j, k, &mut event) {
+                if self.send_report(j, k, &mut event) {
                     event.wake_up_span = awake_from - k;
                     true
                 } else {
                     false
                 }
             } else {
-                event.obstacles[1] = true;
+                event.meet(Obstacle::MissedWakeUp);
                 self.missed_wake_ups += 1;
                 self.losses.missed_wake_ups += u64::from(k >= self.warm_up_end);
                 false
@@ -374,10 +404,10 @@ impl<'a> ReferenceWorld<'a> {
             } else {
                 let policy = &self.policy;
                 let loss_probability = self.radio.no_answer_probability();
-                self.estimates[j].record_silence(k, loss_probability, |k| policy.senses(j, k));
+                self.estimates[j].record_silence(k, loss_probability, |tti| policy.senses(j, tti));
             }
         }
-        self.event = Some(event);
+        self.active_event = Some(event);
         true
     }
 
@@ -391,14 +421,18 @@ impl<'a> ReferenceWorld<'a> {
         } else {
             ReferenceState::Unpowered
         };
-        event.activity.push((j, [0, 0, 0, 1]));
+        let activity = EventActivity {
+            wrong_activations: 1,
+            ..EventActivity::default()
+        };
+        event.activity.push((j, activity));
         event.tally.wrong_activations += 1;
         event.tally.wasted_energy += Energy::from_micro(spent);
         self.losses.late_wake_ups += u64::from(k >= self.warm_up_end);
     }
 
     /// From S2: device `j` sends its report if it can pay for it. Returns whether the report arrives.
-    fn transmit(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
+    fn send_report(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
         let is_in_range = d <= sensing.d_max;
@@ -406,26 +440,29 @@ impl<'a> ReferenceWorld<'a> {
         let (spent, is_paid) = self.devices[j].pay(e_tx, S3);
         let arrives = is_paid && !self.radio.loses_report(j);
         let is_wrong_activation = !is_paid || !is_in_range;
-        event
-            .activity
-            .push((j, [u64::from(arrives), 0, 0, u64::from(is_wrong_activation)]));
+        let activity = EventActivity {
+            reports: u64::from(arrives),
+            wrong_activations: u64::from(is_wrong_activation),
+            ..EventActivity::default()
+        };
+        event.activity.push((j, activity));
         if is_wrong_activation {
             event.tally.wrong_activations += 1;
             event.tally.wasted_energy += Energy::from_micro(spent);
         }
         if !is_paid {
-            event.obstacles[2] = true;
+            event.meet(Obstacle::UnpaidReport);
             self.devices[j].state = ReferenceState::Unpowered;
             return false;
         }
         self.devices[j].state = ReferenceState::Transmission;
-        let is_measured = u64::from(k >= self.warm_up_end);
+        let measured_count = u64::from(k >= self.warm_up_end);
         if !arrives {
-            event.obstacles[3] = true;
-            self.losses.lost_reports += is_measured;
+            event.meet(Obstacle::LostReport);
+            self.losses.lost_reports += measured_count;
             return false;
         }
-        self.arrived_reports += is_measured;
+        self.arrived_reports += measured_count;
         event.tally.reports += 1;
         if is_in_range {
             let information = sensing.psi * libm::exp(-sensing.eta * d);
@@ -433,34 +470,36 @@ impl<'a> ReferenceWorld<'a> {
                 Fusion::Max => event.information.max(information),
                 Fusion::SumSaturation => (event.information + information).min(sensing.psi),
             };
-            let reporter = self.policy.reporter(self.scenario, &self.positions, j, d);
+            let reporter = self.policy.new_reporter(self.scenario, &self.positions, j, d);
             event.reporters.push(reporter);
         }
         true
     }
 
+    /// Whether device `j`, `d` metres from the active event, detects it if it senses.
     fn detects(&self, j: usize, d: f64) -> bool {
-        detects(self.scenario, self.process.number(), j, d)
+        detects(self.scenario, self.event_process.number(), j, d)
     }
 
     /// End of step 6: an event ends with its first report or at its end time.
     fn close_event(&mut self, k: u64) {
-        let Some(mut event) = self.event.take() else { return };
+        let Some(mut event) = self.active_event.take() else {
+            return;
+        };
         if event.tally.reports == 0 && k + 1 < event.start.saturating_add(event.duration) {
-            self.event = Some(event);
+            self.active_event = Some(event);
             return;
         }
         if event.start >= self.warm_up_end {
             self.wake_up_span_ttis += event.wake_up_span;
             for (j, contribution) in event.activity.drain(..) {
-                let sums = self.activity[j].iter_mut().zip(contribution);
-                sums.for_each(|(sum, count)| *sum += count);
+                self.activity[j] += contribution;
             }
         }
         // The emulator sums information in whole units of 10⁻¹².
         event.tally.information_pico = (event.information * 1e12).round() as u64;
         self.events.push(EventRecord {
-            event: EventId(self.process.number()),
+            event: EventId(self.event_process.number()),
             epicentre: event.epicentre,
             start: Tti(event.start),
             last: Tti(k),
@@ -468,10 +507,10 @@ impl<'a> ReferenceWorld<'a> {
             tally: event.tally,
             miss_cause: self.miss_cause(&event),
         });
-        self.process.end_event();
+        self.event_process.end_event();
     }
 
-    /// Returns the cause of the miss of `event`; `None` if it was reported.
+    /// Returns the cause of the miss of `event`, which ends in this TTI; `None` if it was reported.
     fn miss_cause(&self, event: &Event) -> Option<MissCause> {
         let positions = self.positions.iter().enumerate();
         let distances = positions.map(|(j, position)| (j, distance(*position, event.epicentre)));
@@ -479,7 +518,7 @@ impl<'a> ReferenceWorld<'a> {
         let has_failed = |j: usize| self.devices[j].failed_since.is_some_and(|since| since <= event.start);
         let not_failed = in_range.iter().filter(|(j, _)| !has_failed(*j));
         let would_detect: Vec<bool> = not_failed.map(|&(j, d)| self.detects(j, d)).collect();
-        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &would_detect, in_range.is_empty()))
+        (event.tally.reports == 0).then(|| miss_cause(event.furthest_obstacle, &would_detect, in_range.is_empty()))
     }
 
     /// Step 7: accounting.
@@ -493,10 +532,11 @@ impl<'a> ReferenceWorld<'a> {
         self.trace.push(row);
     }
 
+    /// Before the first measured TTI.
     fn begin_measuring(&mut self) {
         for device in &mut self.devices {
             device.totals_at_warm_up_end = Some(device.totals());
-            device.outage = [0; 2];
+            (device.current_outage, device.longest_outage) = (0, 0);
         }
     }
 
@@ -523,7 +563,7 @@ impl<'a> ReferenceWorld<'a> {
             events: self.events,
             activity: self.activity,
             totals,
-            start_probability: self.start_probability.0 / self.start_probability.1,
+            start_probability: self.start_probability_sum / self.measured_ttis,
             wake_ups: self.wake_ups,
             losses: RadioLosses {
                 sent_wake_ups: self.wake_ups,
