@@ -134,7 +134,7 @@ impl Reconstruction {
                 self.score.record_plan(&update, is_new, codec::encoded_len(&update));
                 let devices = u64::from(self.scenario.run.devices);
                 self.score
-                    .record_missed_plans(update.from, devices, self.mirror.devices_without_plan());
+                    .record_missed_plans(update.from, devices, self.mirror.missed_plan_count());
                 self.plan = Some(update.plan);
             }
             Message::Event(EventUpdate::Started(event)) => {
@@ -148,7 +148,7 @@ impl Reconstruction {
             Message::Report(report) => {
                 self.fuse(report.tti, report.information);
                 // A woken device's report is counted with its wake-up.
-                if !self.mirror.is_waking() {
+                if !self.mirror.has_open_wake_up() {
                     self.active_event()?;
                     self.score.record_report(&report);
                 }

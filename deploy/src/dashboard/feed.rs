@@ -205,7 +205,7 @@ impl Feed {
             lower_priority();
             let mut is_over = false;
             loop {
-                match batches.next(POLL_INTERVAL) {
+                match batches.next_batch(POLL_INTERVAL) {
                     Ok(batch) => {
                         let mut state = feed.lock();
                         for item in batch {

@@ -180,7 +180,7 @@ impl<W: Write> PerfettoWriter<W> {
                 self.write_instant(frame.tti, state_track(device), &text, flow)?;
             }
             // A woken device's report is part of the outcome of its wake-up.
-            (Message::Report(report), Some(device)) if !self.mirror.is_waking() => {
+            (Message::Report(report), Some(device)) if !self.mirror.has_open_wake_up() => {
                 self.write_instant(frame.tti, state_track(device), &report.to_string(), None)?;
             }
             (Message::Lost(lost), Some(device)) => {

@@ -171,7 +171,7 @@ fn write_items(
     mut items: BatchReceiver<RecorderItem>,
 ) -> McapResult<u64> {
     loop {
-        let batch = match items.next(MAX_UNWRITTEN_TIME) {
+        let batch = match items.next_batch(MAX_UNWRITTEN_TIME) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => {
                 writer.flush()?;
