@@ -1,4 +1,6 @@
 //! The patrol: devices sense in turn, and a report wakes the reporter's nearest neighbours.
+//!
+//! The page docs/writing-a-policy.md explains this file and shows a copy; `tests/tests/tutorial.rs` compares them.
 
 use reveille_bs::policy::prelude::*;
 
@@ -8,7 +10,7 @@ declare! {
     pub struct PatrolSettings in "policy.patrol" {
         /// Length of a device's duty cycle, of which it senses in one TTI.
         pub every: u32 = declare::whole(1, 1000, 8).unit("TTIs"),
-        /// Devices to wake after a report: those nearest to the first reporter.
+        /// Number of devices to wake after a report, the nearest ones to the first reporter.
         pub helpers: u32 = declare::whole(0, 100, 2),
     }
 }
@@ -20,7 +22,7 @@ impl PolicyFactory for PatrolSettings {
     fn build(&self, _: &Knowledge) -> Box<dyn Policy> {
         Box::new(Patrol {
             settings: *self,
-            helpers: Vec::new(),
+            to_wake: Vec::new(),
         })
     }
 }
@@ -28,8 +30,8 @@ impl PolicyFactory for PatrolSettings {
 /// A patrol during a run.
 struct Patrol {
     settings: PatrolSettings,
-    /// The devices to wake for this event, the next at the end.
-    helpers: Vec<DeviceId>,
+    /// The devices to wake after the last report, the next at the end.
+    to_wake: Vec<DeviceId>,
 }
 
 impl Policy for Patrol {
@@ -48,21 +50,22 @@ impl Policy for Patrol {
         Tti::NEVER
     }
 
+    /// There is at least one report, and the first is the one of the lowest device id.
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         let devices = &seen.known.devices;
         let reporter = devices[reports[0].device.index()].position;
         let distance = |j: &DeviceId| devices[j.index()].position.distance(reporter);
         let asleep = (0..devices.len() as u32).map(DeviceId).filter(|&j| seen.is_asleep(j));
-        self.helpers = asleep.collect();
-        // The farthest come first: helpers are taken from the end.
-        self.helpers
+        self.to_wake = asleep.collect();
+        // The farthest come first: devices are taken from the end.
+        self.to_wake
             .sort_by(|a, b| distance(b).total_cmp(&distance(a)).then(b.cmp(a)));
-        let surplus = self.helpers.len().saturating_sub(self.settings.helpers as usize);
-        self.helpers.drain(..surplus);
+        let surplus = self.to_wake.len().saturating_sub(self.settings.helpers as usize);
+        self.to_wake.drain(..surplus);
     }
 
     fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
-        self.helpers.pop()
+        self.to_wake.pop()
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {

@@ -81,7 +81,7 @@ impl InputLog {
     pub(crate) fn replace(&mut self, inputs: &ExternalInputs) -> anyhow::Result<()> {
         // The open handle belongs to the file that is replaced.
         self.file = None;
-        let lines = inputs.iter().map(|input| external_inputs::line(&input));
+        let lines = inputs.iter().map(|input| external_inputs::input_line(&input));
         let text: String = std::iter::once(self.first_line.clone()).chain(lines).collect();
         reveille_lab::io::replace(&self.path, text.as_bytes())
             .with_context(|| format!("cannot write {}", self.path.display()))
@@ -91,7 +91,10 @@ impl InputLog {
         // Taken out: after a failed write the file is reopened, which removes a torn line.
         let open_file = self.file.take();
         let mut file = open_file.map_or_else(|| self.open(), Ok)?;
-        let lines: String = inputs.into_iter().map(|input| external_inputs::line(&input)).collect();
+        let lines: String = inputs
+            .into_iter()
+            .map(|input| external_inputs::input_line(&input))
+            .collect();
         file.write_all(lines.as_bytes())?;
         if must_sync {
             file.sync_data()?;

@@ -140,7 +140,7 @@ impl RunReader {
             let is_missed = row.number::<u64>("reports")? == 0;
             let start = Tti(row.number("start_tti")?);
             if is_counted {
-                misses.starts.push(start);
+                misses.counted_starts.push(start);
             }
             match (is_counted, is_missed) {
                 (true, true) => missed.push(missed_event(&row, start)?),
@@ -161,7 +161,7 @@ impl RunReader {
             },
         );
         let ttis_done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
-        misses.end = match (ttis_done, misses.starts.last()) {
+        misses.end = match (ttis_done, misses.counted_starts.last()) {
             (Some(ttis_done), _) => Tti(ttis_done),
             (None, Some(last)) => *last + 1,
             (None, None) => misses.end,

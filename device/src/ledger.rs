@@ -29,7 +29,7 @@ pub struct LedgerBuilder {
     sensing_ttis: u64,
     /// The number of TTIs in which an action of an operator had switched the device off.
     off_ttis: u64,
-    /// The number of TTIs with δ = 1 that the battery could not pay.
+    /// The number of TTIs with δ = 1 that the battery could not pay; failures by operators are `off_ttis`.
     failed_ttis: u64,
     /// The number of TTIs with δ = 0 that the battery could not pay.
     unpowered_ttis: u64,
@@ -40,14 +40,14 @@ pub struct LedgerBuilder {
     /// The number of paid transmissions.
     transmissions: u64,
     /// The energy drained by actions that the battery could not pay.
-    drained: EnergyByState,
+    drained_by_state: EnergyByState,
     /// The sum of the battery levels at the ends of all TTIs, micro-units.
     battery_sum: u128,
     /// The number of TTIs that ended with less than `E_Tx` in the battery.
     low_ttis: u64,
     /// The number of consecutive TTIs up to now whose cost the battery could not pay.
-    outage: u64,
-    /// The largest value of `outage` in the measured part, or so far in the warm-up.
+    current_outage: u64,
+    /// The largest value of `current_outage` in the measured part, or so far in the warm-up.
     longest_outage: u64,
     /// The first measured TTI.
     measured_from: Tti,
@@ -58,7 +58,7 @@ pub struct LedgerBuilder {
 impl LedgerBuilder {
     /// Creates an empty ledger, measured from TTI `measured_from` on.
     pub const fn new(measured_from: Tti) -> Self {
-        let drained = EnergyByState {
+        let drained_by_state = EnergyByState {
             sensing: Energy::ZERO,
             sleep: Energy::ZERO,
             report: Energy::ZERO,
@@ -71,10 +71,10 @@ impl LedgerBuilder {
             false_wake_ups: 0,
             unpaid_false_wake_ups: 0,
             transmissions: 0,
-            drained,
+            drained_by_state,
             battery_sum: 0,
             low_ttis: 0,
-            outage: 0,
+            current_outage: 0,
             longest_outage: 0,
             measured_from,
             warm_up_totals: None,
@@ -87,12 +87,15 @@ impl LedgerBuilder {
         self.measured_from
     }
 
-    /// Starts the measured part with the totals `so_far`. A repeated call has no effect.
-    pub fn start_measuring(&mut self, so_far: DeviceTotals) {
+    /// Starts the measured part, after the warm-up with these totals. [`Machine::advance_to`] calls it before it
+    /// records TTI `measured_from`. A repeated call has no effect.
+    ///
+    /// [`Machine::advance_to`]: crate::machine::Machine::advance_to
+    pub fn start_measuring(&mut self, warm_up_totals: DeviceTotals) {
         if self.warm_up_totals.is_none() {
-            self.warm_up_totals = Some(Box::new(so_far));
+            self.warm_up_totals = Some(Box::new(warm_up_totals));
             // An outage that began in the warm-up counts only from here.
-            (self.outage, self.longest_outage) = (0, 0);
+            (self.current_outage, self.longest_outage) = (0, 0);
         }
     }
 
@@ -100,12 +103,12 @@ impl LedgerBuilder {
     pub fn record_duty(&mut self, is_on: bool, payment: Payment) {
         self.sensing_ttis += u64::from(is_on);
         match payment {
-            Ok(()) => self.outage = 0,
+            Ok(()) => self.current_outage = 0,
             Err(drained) => {
                 if is_on {
-                    self.drained.sensing += drained;
+                    self.drained_by_state.sensing += drained;
                 } else {
-                    self.drained.sleep += drained;
+                    self.drained_by_state.sleep += drained;
                 }
                 self.failed_ttis += u64::from(is_on);
                 self.unpowered_ttis += u64::from(!is_on);
@@ -117,25 +120,25 @@ impl LedgerBuilder {
     /// Records `ttis` TTIs in which the electronics are off. They are no outage, since nothing has to be paid.
     pub const fn record_off(&mut self, ttis: u64) {
         self.off_ttis += ttis;
-        self.outage = 0;
+        self.current_outage = 0;
     }
 
-    /// Records TTIs on an empty battery, `sensing` with δ = 1 and `asleep` with δ = 0.
-    pub fn record_outage(&mut self, sensing: u64, asleep: u64) {
-        self.sensing_ttis += sensing;
-        self.failed_ttis += sensing;
-        self.unpowered_ttis += asleep;
-        self.lengthen_outage(sensing + asleep);
+    /// Records TTIs on an empty battery, `on_ttis` with δ = 1 and `sleep_ttis` with δ = 0.
+    pub fn record_outage(&mut self, on_ttis: u64, sleep_ttis: u64) {
+        self.sensing_ttis += on_ttis;
+        self.failed_ttis += on_ttis;
+        self.unpowered_ttis += sleep_ttis;
+        self.lengthen_outage(on_ttis + sleep_ttis);
     }
 
-    /// Records TTIs in which everything was paid, `sensing` of them with δ = 1. Their end-of-TTI levels add up to
-    /// `battery_sum`, and `low` of them ended below E_Tx.
+    /// Records TTIs in which everything was paid, `on_ttis` of them with δ = 1. Their end-of-TTI levels add up to
+    /// `level_sum`, and `low_ttis` of them ended below E_Tx.
     #[inline]
-    pub fn record_paid_span(&mut self, sensing: u64, battery_sum: Energy, low: u64) {
-        self.sensing_ttis += sensing;
-        self.outage = 0;
-        self.battery_sum += u128::from(battery_sum.micro());
-        self.low_ttis += low;
+    pub fn record_paid_span(&mut self, on_ttis: u64, level_sum: Energy, low_ttis: u64) {
+        self.sensing_ttis += on_ttis;
+        self.current_outage = 0;
+        self.battery_sum += u128::from(level_sum.micro());
+        self.low_ttis += low_ttis;
     }
 
     /// Records a false wake-up in a TTI with δ = 0. Its cost is a cost of listening and counts for S4.
@@ -143,7 +146,7 @@ impl LedgerBuilder {
         self.false_wake_ups += 1;
         if let Err(drained) = payment {
             self.unpaid_false_wake_ups += 1;
-            self.drained.sleep += drained;
+            self.drained_by_state.sleep += drained;
         }
     }
 
@@ -151,7 +154,7 @@ impl LedgerBuilder {
     pub fn record_transmission(&mut self, payment: Payment) {
         match payment {
             Ok(()) => self.transmissions += 1,
-            Err(drained) => self.drained.report += drained,
+            Err(drained) => self.drained_by_state.report += drained,
         }
     }
 
@@ -162,7 +165,7 @@ impl LedgerBuilder {
     }
 
     /// Returns the totals over the TTIs before `next`, with these costs and this battery. All of them must be recorded,
-    /// the last one to its end.
+    /// the last one to its end; TTIs that are missing would count as TTIs in S4.
     pub fn totals(&self, next: Tti, costs: &EnergyModel, battery: &Battery) -> DeviceTotals {
         // Each other TTI before `next` had either δ = 1 or δ = 0.
         let sleep_ttis = next.0 - self.off_ttis - self.sensing_ttis;
@@ -170,11 +173,11 @@ impl LedgerBuilder {
             initial: battery.initial(),
             harvested: battery.harvested(),
             spent: EnergyByState {
-                sensing: costs.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
+                sensing: costs.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained_by_state.sensing,
                 sleep: costs.e_wur.times(sleep_ttis - self.unpowered_ttis)
                     + costs.e_idle.times(self.false_wake_ups - self.unpaid_false_wake_ups)
-                    + self.drained.sleep,
-                report: costs.e_tx.times(self.transmissions) + self.drained.report,
+                    + self.drained_by_state.sleep,
+                report: costs.e_tx.times(self.transmissions) + self.drained_by_state.report,
             },
             overflow: battery.overflow(),
             battery: battery.level(),
@@ -187,9 +190,10 @@ impl LedgerBuilder {
         }
     }
 
-    /// Returns the ledger of a run with the totals `whole`.
+    /// Returns the ledger of a run with the totals `whole`, which [`Self::totals`] returned. The values of the measured
+    /// part are 0 until it starts.
     pub fn ledger(&self, whole: DeviceTotals) -> Ledger {
-        let measured = self.warm_up_totals.as_ref().map(|before| whole - **before);
+        let measured = self.warm_up_totals.as_ref().map(|warm_up| whole - **warm_up);
         Ledger {
             whole,
             measured: measured.unwrap_or_default(),
@@ -198,7 +202,7 @@ impl LedgerBuilder {
     }
 
     fn lengthen_outage(&mut self, ttis: u64) {
-        self.outage += ttis;
-        self.longest_outage = self.longest_outage.max(self.outage);
+        self.current_outage += ttis;
+        self.longest_outage = self.longest_outage.max(self.current_outage);
     }
 }

@@ -1,6 +1,7 @@
 //! Time that the policy `dt` takes for a TTI, on one thread: the inference of [`ForwardPass`] by vector width and by N,
-//! compared with the same weights in the training framework over the last Z TTIs. `docs/benchmarks.md` shows the
-//! results.
+//! compared with the same weights in the training framework over the last Z TTIs. The weights and tokens are random,
+//! since times do not depend on their values. `docs/benchmarks.md` repeats the command and shows the results, written
+//! by hand.
 //!
 //! `RAYON_NUM_THREADS=1 cargo bench -p reveille-lab --features train-dt --bench dt`
 
@@ -17,6 +18,7 @@ use reveille_bs::policy::dt::tokens::FEATURE_COUNT;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_lab::transformer::{Net, encode_file};
 
+/// Returns random tokens in `[-1, 1)`, by TTI, device and feature.
 fn random_tokens(devices: usize, ttis: usize) -> Vec<f32> {
     let mut stream = Stream::new(1, Purpose::Training, 0);
     (0..ttis * devices * FEATURE_COUNT)
@@ -28,31 +30,32 @@ fn bench_inference(criterion: &mut Criterion) {
     let net = Net::new(ModelShape::SHIPPED, 1).expect("a net");
     let bytes = encode_file(&net, &BTreeMap::new()).expect("a file");
     let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
-    let memory = ModelShape::SHIPPED.memory;
+    // The number of TTIs Z that attention covers.
+    let memory_ttis = ModelShape::SHIPPED.memory;
 
     let mut group = criterion.benchmark_group("a TTI of 250 devices");
     let tti_tokens = random_tokens(250, 1);
     for width in VectorWidth::supported() {
         let mut forward = ForwardPass::new(Arc::clone(&weights), 250).with_vector_width(width);
         // Attention covers at most Z TTIs: with Z steps before, each measured step attends to all of them.
-        for _ in 0..memory {
+        for _ in 0..memory_ttis {
             forward.step(&tti_tokens);
         }
         // `Debug` also prints the fields of a variant.
-        let name = format!("{width:?}");
-        let name = name.split(['(', ' ']).next().unwrap_or_default().to_owned();
+        let variant = format!("{width:?}");
+        let name = variant.split(['(', ' ']).next().unwrap_or_default().to_owned();
         group.bench_function(BenchmarkId::new("here", name), |bencher| {
             bencher.iter(|| forward.step(black_box(&tti_tokens))[0]);
         });
     }
     group.sample_size(20);
     let window = Tensor::from_vec(
-        random_tokens(250, memory),
-        (1, memory, 250, FEATURE_COUNT),
+        random_tokens(250, memory_ttis),
+        (1, memory_ttis, 250, FEATURE_COUNT),
         &Device::Cpu,
     )
     .expect("tokens");
-    let targets = Tensor::full(0.5_f32, (1, memory), &Device::Cpu).expect("targets");
+    let targets = Tensor::full(0.5_f32, (1, memory_ttis), &Device::Cpu).expect("targets");
     group.bench_function("in the framework", |bencher| {
         bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").price);
     });
@@ -64,7 +67,7 @@ fn bench_inference(criterion: &mut Criterion) {
         let tti_tokens = random_tokens(devices, 1);
         let mut forward = ForwardPass::new(Arc::clone(&weights), devices);
         // The steps before the measurement fill the memory of Z TTIs, as in the first group.
-        for _ in 0..memory {
+        for _ in 0..memory_ttis {
             forward.step(&tti_tokens);
         }
         group.bench_function(BenchmarkId::from_parameter(devices), |bencher| {

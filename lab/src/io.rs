@@ -1,5 +1,6 @@
 //! Reading and writing of files, for this crate and the programs. A write replaces the file in one step or fails, so a
-//! reader or a resumed process never finds half a file.
+//! reader or a resumed process never finds half a file. Only one process may write a path at a time: part files have
+//! fixed names. `sweep/folder.rs` and `deploy/src/run_folder.rs` know the suffix `.part`.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -8,18 +9,19 @@ use std::path::Path;
 
 use tempfile::{NamedTempFile, TempPath};
 
-/// Creates a temporary file next to `path`, opened by `open`. Persisting it replaces `path` in one step, so no reader
-/// sees a partial file; dropping it removes it.
+/// Creates a temporary file next to `path`, `PATH.part`, opened by `open`, which must empty an existing one. Persisting
+/// it replaces `path` in one step, so no reader sees a partial file; dropping it removes it. Unlike [`replace`], it
+/// does not sync.
 ///
 /// # Errors
 /// If it cannot be opened.
 pub fn open_part_file(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>) -> io::Result<NamedTempFile> {
     // A fixed name: files with random names would accumulate in the folders of killed processes.
-    let mut part = OsString::from(path);
-    part.push(".part");
+    let mut part_path = OsString::from(path);
+    part_path.push(".part");
     Ok(NamedTempFile::from_parts(
-        open(Path::new(&part))?,
-        TempPath::try_from_path(part)?,
+        open(Path::new(&part_path))?,
+        TempPath::try_from_path(part_path)?,
     ))
 }
 
@@ -28,7 +30,7 @@ pub fn open_part_file(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>)
 /// # Errors
 /// If it cannot be written; an existing file at `path` is then unchanged.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = open_part_file(path, |part| File::create(part))?;
+    let mut file = open_part_file(path, |part_path| File::create(part_path))?;
     file.as_file_mut().write_all(bytes)?;
     // A rename can reach the disk before the data: without the sync, a power cut could leave an empty file.
     file.as_file().sync_all()?;
@@ -90,7 +92,7 @@ pub(crate) fn read_short(path: &Path, max_bytes: u64) -> io::Result<String> {
 ///
 /// # Errors
 /// If it cannot be opened or is not a regular file.
-pub(crate) fn open(path: &Path) -> io::Result<File> {
+pub(crate) fn open_regular(path: &Path) -> io::Result<File> {
     // Checked before the file is opened: opening a pipe would block until another process writes to it.
     if fs::metadata(path)?.is_file() {
         File::open(path)
@@ -158,7 +160,7 @@ mod tests {
         let (path, part) = (folder.join("file"), folder.join("file.part"));
         fs::write(&part, "left over").expect("writable");
         replace(&path, b"new").expect("written");
-        drop(open_part_file(&path, |part| File::create(part)).expect("opened"));
+        drop(open_part_file(&path, |part_path| File::create(part_path)).expect("opened"));
         assert_eq!(fs::read(&path).expect("there"), b"new");
         assert!(!part.exists());
         let mode = |path: &Path| fs::metadata(path).expect("there").permissions();

@@ -1,6 +1,7 @@
 //! Estimates of a metric from the runs of a cell: a mean with its interval, or a one-sided bound if cases are few. The
-//! claim report, the figures and the report of `reveille sweep` show these estimates. `CASE_METRICS` lists metrics by
-//! name: a renamed metric would lose its bound.
+//! claim report (docs/reproduction.md), the figures and the report of `reveille sweep` show these estimates, so a
+//! change of a rule changes committed numbers. `CASE_METRICS` lists metrics by name: a renamed metric would lose its
+//! bound.
 //!
 //! Student's t derives the interval of a mean from the spread of the runs. With very few cases that interval is too
 //! narrow (runs without a case do not differ) or extends below zero. An upper bound is then the only valid result.
@@ -11,7 +12,7 @@ use crate::stats::{CONFIDENCE, CellRuns, Estimate};
 use crate::table::ResultRow;
 use reveille_common::score::Metrics;
 
-/// The metrics that count cases per event, with their value for one case per event.
+/// The metrics that count cases per event, by their names in `Metrics::NAMES`, with their value for one case per event.
 const CASE_METRICS: [(&str, f64); 3] = [
     ("misdetection_pct", 100.0),
     ("wrong_activations_per_event", 1.0),
@@ -19,9 +20,9 @@ const CASE_METRICS: [(&str, f64); 3] = [
 ];
 /// The metric in `CASE_METRICS` that is a share of events, %.
 const SHARE_METRIC: &str = "misdetection_pct";
-/// The rule of three: without a case among n, 3/n is the 95 % upper bound.
+/// The rule of three: without a case among n, 3/n is the 95 % upper bound. Another `CONFIDENCE` needs another number.
 const RULE_OF_THREE: f64 = 3.0;
-/// The largest number of cases that is few in a cell of one run, which has no interval.
+/// The largest number of cases for which a cell of one run, which has no interval, gets a bound.
 const MAX_FEW_CASES_OF_ONE_RUN: u64 = 9;
 
 /// Counts of cases and events.
@@ -36,8 +37,8 @@ pub struct CaseCounts {
 /// An estimate of a metric from runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MetricEstimate {
-    /// The mean with its interval.
-    pub estimate: Estimate,
+    /// The mean with its interval, also where a bound replaces the interval.
+    pub mean_estimate: Estimate,
     /// The cases, if the metric counts cases per event.
     pub case_counts: Option<CaseCounts>,
     /// The one-sided 95 % upper bound, if it replaces the interval.
@@ -47,17 +48,17 @@ pub struct MetricEstimate {
 }
 
 impl MetricEstimate {
-    /// Estimates `metric` from `rows`. Returns `None` if no row has a value.
+    /// Estimates `metric` from `rows`, the runs of one cell. Returns `None` if no row has a value.
     pub fn from_rows(rows: &[&ResultRow], metric: &str) -> Option<Self> {
-        let defined = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
-        let estimate = Estimate::from_values(defined().map(|(_, value)| value))?;
+        let defined_values = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
+        let mean_estimate = Estimate::from_values(defined_values().map(|(_, value)| value))?;
         let case_metric = CASE_METRICS.iter().find(|(name, _)| *name == metric);
         let case_counts = case_metric.map(|(_, value_per_case)| CaseCounts {
-            cases: defined()
+            cases: defined_values()
                 // The metric is a ratio of whole numbers: rounding removes the error of the division.
                 .map(|(row, value)| (value * row.events as f64 / value_per_case).round() as u64)
                 .sum(),
-            events: defined().map(|(row, _)| row.events).sum(),
+            events: defined_values().map(|(row, _)| row.events).sum(),
         });
         let count_bound = case_metric
             .zip(case_counts)
@@ -65,18 +66,19 @@ impl MetricEstimate {
         // A difference may be negative, so an interval across zero does not indicate few cases.
         let is_difference = Metrics::find(metric).is_some_and(|metric| metric.is_difference);
         Some(Self {
-            estimate,
+            mean_estimate,
             case_counts,
-            upper_bound: bound_replacing_interval(estimate, case_counts, count_bound).filter(|_| !is_difference),
+            upper_bound: bound_replacing_interval(mean_estimate, case_counts, count_bound).filter(|_| !is_difference),
             lower_bound: case_counts
                 .filter(|_| metric == SHARE_METRIC)
                 .and_then(CaseCounts::lower_bound_pct),
         })
     }
 
-    /// Returns the 95 % limits of a metric that cannot be negative; zero and infinity if they are unknown.
+    /// Returns the 95 % limits of a metric that cannot be negative: of the interval, cut off at 0, or the bound and the
+    /// end of the range; zero and infinity if they are unknown.
     pub fn limits(&self) -> (f64, f64) {
-        let Estimate { mean, half_width, .. } = self.estimate;
+        let Estimate { mean, half_width, .. } = self.mean_estimate;
         match (self.upper_bound, self.lower_bound) {
             (Some(upper), _) => (0.0, upper),
             (None, Some(lower)) => (lower, mean),
@@ -88,10 +90,12 @@ impl MetricEstimate {
     /// Returns the distance from the mean to its limit: half the interval, or to the bound. NaN if it is unknown.
     pub fn half_width(&self) -> f64 {
         let bound = self.upper_bound.or(self.lower_bound);
-        bound.map_or(self.estimate.half_width, |bound| (bound - self.estimate.mean).abs())
+        bound.map_or(self.mean_estimate.half_width, |bound| {
+            (bound - self.mean_estimate.mean).abs()
+        })
     }
 
-    /// Returns the estimate of the metric divided by `divisor`.
+    /// Returns the estimate of the metric divided by `divisor`, above 0.
     #[must_use]
     pub fn divided_by(self, divisor: f64) -> Self {
         let Estimate {
@@ -99,9 +103,9 @@ impl MetricEstimate {
             deviation,
             half_width,
             runs,
-        } = self.estimate;
+        } = self.mean_estimate;
         Self {
-            estimate: Estimate {
+            mean_estimate: Estimate {
                 mean: mean / divisor,
                 deviation: deviation / divisor,
                 half_width: half_width / divisor,
@@ -261,7 +265,7 @@ mod tests {
     fn an_interval_above_0_is_not_changed() {
         let many_cases = estimate_of("misdetection_pct", &[30.0, 31.0, 32.0]);
         assert_eq!(many_cases.upper_bound, None);
-        assert_eq!(many_cases.limits(), many_cases.estimate.interval());
+        assert_eq!(many_cases.limits(), many_cases.mean_estimate.interval());
         let one_run = estimate_of("misdetection_pct", &[33.0]);
         assert_eq!((one_run.upper_bound, one_run.limits()), (None, (0.0, f64::INFINITY)));
         let difference = estimate_of("net_per_device_tti", &[0.01, -0.01, 0.02]);
@@ -273,7 +277,7 @@ mod tests {
     #[test]
     fn an_estimate_is_divided_with_its_bounds() {
         let wasted = estimate_of("wasted_energy_per_event", &[10.0, 12.0]).divided_by(4.0);
-        assert!((wasted.estimate.mean - 2.75).abs() < 1e-12);
+        assert!((wasted.mean_estimate.mean - 2.75).abs() < 1e-12);
         assert!((wasted.half_width() - 12.706_205 / 4.0).abs() < 1e-5);
         let rare = estimate_of("wasted_energy_per_event", &[0.0, 2.0]);
         assert_eq!(
@@ -294,7 +298,7 @@ mod tests {
         assert_eq!(
             cells[0]
                 .metric_estimate("info_p1")
-                .map(|estimate| estimate.estimate.runs),
+                .map(|estimate| estimate.mean_estimate.runs),
             Some(2)
         );
     }

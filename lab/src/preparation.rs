@@ -4,7 +4,8 @@
 //! The `adjusted` policy (Sec. V-A, P2) evaluates each duty cycle of its grid in a pilot run of the same machines on
 //! the same deployment. All duty cycles see the same events and harvests, drawn with another seed than the run's. A
 //! pilot run does not see the future of the run: it harvests the mean of a recorded trace in each TTI. Seed offset and
-//! warm-up of pilot runs are part of all results of `adjusted`; `tests/src/reference/search.rs` repeats them.
+//! warm-up of pilot runs are part of all results of `adjusted`; `tests/src/reference/search.rs` repeats them, and the
+//! help of `pilot_ttis` (`bs/src/policy/adjusted/settings.rs`) states the warm-up.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -29,8 +30,8 @@ const MAX_CACHED_PILOT_SEARCHES: usize = 1024;
 pub struct RunPreparer {
     bounds_cache: Arc<BoundsCache>,
     /// The search results by the hash of the pilot scenario: runs that differ only in length or warm-up
-    /// share a search.
-    searches: Mutex<VecDeque<([u8; 32], SearchOutcome)>>,
+    /// share a search. The result must depend on nothing else.
+    cached_searches: Mutex<VecDeque<([u8; 32], SearchOutcome)>>,
 }
 
 impl RunPreparer {
@@ -49,31 +50,31 @@ impl RunPreparer {
 
     fn search(&self, prepared: &PreparedRun, pilots: &PilotSearch) -> SearchOutcome {
         let key = pilot_scenario(&prepared.scenario, pilots.initial_ttis).hash();
-        if let Some(found) = self.cached_search(&key) {
-            return found;
+        if let Some(outcome) = self.cached_search(&key) {
+            return outcome;
         }
         // No lock is held during the pilot runs. Two threads may search for the same deployment, with the same result.
-        let trials = pilot_runs(prepared, pilots);
-        let found = (pilots.judge)(&prepared.knowledge(), &trials);
-        self.cache_search(key, found.clone());
-        found
+        let runs = pilot_runs(prepared, pilots);
+        let outcome = (pilots.judge)(&prepared.knowledge(), &runs);
+        self.cache_search(key, outcome.clone());
+        outcome
     }
 
     fn cached_search(&self, key: &[u8; 32]) -> Option<SearchOutcome> {
-        let searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
+        let searches = self.cached_searches.lock().unwrap_or_else(PoisonError::into_inner);
         searches
             .iter()
             .find(|(cached_key, _)| cached_key == key)
-            .map(|(_, found)| found.clone())
+            .map(|(_, outcome)| outcome.clone())
     }
 
     /// Caches a search result. Two threads that searched for the same deployment have equal results.
-    fn cache_search(&self, key: [u8; 32], found: SearchOutcome) {
-        let mut searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
+    fn cache_search(&self, key: [u8; 32], outcome: SearchOutcome) {
+        let mut searches = self.cached_searches.lock().unwrap_or_else(PoisonError::into_inner);
         if searches.len() == MAX_CACHED_PILOT_SEARCHES {
             searches.pop_front();
         }
-        searches.push_back((key, found));
+        searches.push_back((key, outcome));
     }
 }
 
@@ -93,7 +94,7 @@ pub fn run(scenario: &Scenario) -> RunOutcome {
 }
 
 /// Runs each candidate of `pilots` on the deployment of `prepared`. All pilot runs have the same length. It is long
-/// enough for each to hold the requested events, up to a limit.
+/// enough for each to hold the requested events, up to a limit. `judge` relies on the order of the candidates.
 fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
     let mut pilot_prepared = prepared.clone();
     let Deployment { devices, traces, .. } = &mut pilot_prepared.deployment;
@@ -101,17 +102,17 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
         // A trace has only one realisation: replayed in a pilot run, it would show the future of the run itself.
         device.harvest = device.harvest.known_before_run(traces);
     }
-    let (mut ttis, mut all_ttis) = (pilots.initial_ttis, 0_u64);
+    let (mut run_ttis, mut total_ttis) = (pilots.initial_ttis, 0_u64);
     // Beyond `Scenario::max_ttis`, sums of energy would overflow 64 bits.
-    let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(ttis);
+    let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(run_ttis);
     loop {
-        pilot_prepared.scenario = pilot_scenario(&prepared.scenario, ttis);
+        pilot_prepared.scenario = pilot_scenario(&prepared.scenario, run_ttis);
         let (mut metrics, mut is_long_enough) = (Vec::with_capacity(pilots.candidates.len()), true);
         for candidate in &pilots.candidates {
             pilot_prepared.pilot_choice = Some(Arc::clone(candidate));
             let outcome = Run::new(&pilot_prepared, RunOptions::default()).finish(&mut ());
-            all_ttis = all_ttis.saturating_add(ttis);
-            is_long_enough = ttis >= max_ttis || outcome.metrics.events >= pilots.min_events;
+            total_ttis = total_ttis.saturating_add(run_ttis);
+            is_long_enough = run_ttis >= max_ttis || outcome.metrics.events >= pilots.min_events;
             // Metrics of runs of different length do not compare, so all candidates run again, twice as long.
             if !is_long_enough {
                 break;
@@ -120,12 +121,12 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
         }
         if is_long_enough {
             return PilotRuns {
-                run_ttis: ttis,
-                total_ttis: all_ttis,
+                run_ttis,
+                total_ttis,
                 metrics,
             };
         }
-        ttis = ttis.saturating_mul(2).min(max_ttis);
+        run_ttis = run_ttis.saturating_mul(2).min(max_ttis);
     }
 }
 

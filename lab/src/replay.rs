@@ -76,7 +76,7 @@ impl fmt::Display for Divergence {
 }
 
 /// A run in memory that follows another run. A decision of a TTI must be added before a call advances past that TTI;
-/// the call panics otherwise.
+/// the call panics otherwise. After a divergence, frames must not be compared further.
 pub struct Replay {
     prepared: PreparedRun,
     run: Run,
@@ -94,7 +94,7 @@ struct UncomparedFrames {
     encoder: DigestFrameEncoder,
     /// The frames for which the run has no counterpart yet.
     queue: VecDeque<Frame>,
-    /// The number of frames that were compared and equal.
+    /// The number of frames that were compared and equal, from the start of the comparison.
     equal_frames: u64,
     /// The number of compared frames that the replay still has to repeat after a restart.
     frames_to_skip: u64,
@@ -135,7 +135,7 @@ impl Replay {
         }
     }
 
-    /// Adds an external input of a TTI that is not compared yet.
+    /// Adds an external input of a TTI that is not compared yet. A replay past that TTI restarts from TTI 0.
     pub fn add_input(&mut self, input: ExternalInput) {
         let tti = match &input {
             ExternalInput::Removal(removal) => removal.tti,
@@ -157,6 +157,9 @@ impl Replay {
     }
 
     /// Advances to TTI `k`, after a restart if the replay is past it.
+    ///
+    /// # Panics
+    /// If a decision before TTI `k` is missing.
     fn advance_to(&mut self, k: Tti) {
         if self.next_tti() > k {
             self.restart();
@@ -190,12 +193,18 @@ impl Replay {
     }
 
     /// Returns checkpoints of `count` devices from `first` on, before TTI `k`.
+    ///
+    /// # Panics
+    /// If one of the devices does not exist, or a decision before TTI `k` is missing.
     pub fn checkpoints(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<DeviceCheckpoint> {
         self.advance_to(k);
         self.run.checkpoints(first, count)
     }
 
     /// Returns the ledgers of `count` devices from `first` on, before TTI `k`.
+    ///
+    /// # Panics
+    /// As for [`Self::checkpoints`].
     pub fn ledgers(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<Ledger> {
         self.advance_to(k);
         self.run.ledgers(first, count)
@@ -207,7 +216,8 @@ impl Replay {
         self.restart().partial_outcome()
     }
 
-    /// Audits the run up to TTI `k`: compares its frames since the last comparison, all of them from TTIs before `k`.
+    /// Audits the run up to TTI `k`: compares its frames since the last comparison, all of them from TTIs before `k`. A
+    /// frame that only the replay has is found by the next comparison with a frame, or by [`Self::compare_outcome`].
     ///
     /// # Errors
     /// If the runs differ; the error is the first divergence.
@@ -230,8 +240,8 @@ impl Replay {
     /// If the outcomes differ; the error is the first divergence.
     pub fn compare_outcome(&mut self, live: &RunOutcome) -> Result<(), Divergence> {
         self.advance_to(Tti(live.ttis_done));
-        if let Some(extra) = self.uncompared.queue.pop_front() {
-            return Err(frame_divergence(None, Some(&extra)));
+        if let Some(extra_frame) = self.uncompared.queue.pop_front() {
+            return Err(frame_divergence(None, Some(&extra_frame)));
         }
         compare_outcomes(live, &self.outcome(Tti(live.ttis_done)))
     }
@@ -297,11 +307,11 @@ fn compare_outcomes(live: &RunOutcome, replayed: &RunOutcome) -> Result<(), Dive
     let tti = Tti(live.ttis_done);
     // The digest covers the ledgers too, but a differing ledger names its device.
     let differing = live.devices.iter().zip(&replayed.devices).find(|(a, b)| a != b);
-    if let Some((device, _)) = differing {
+    if let Some((summary, _)) = differing {
         return Err(Divergence {
             tti,
-            device: Some(device.device),
-            description: format!("the ledger of device {} differs from the replay", device.device),
+            device: Some(summary.device),
+            description: format!("the ledger of device {} differs from the replay", summary.device),
         });
     }
     if live.digest == replayed.digest {

@@ -1,7 +1,8 @@
 //! The resume mark of a run (`resume.json`): a TTI, and a fingerprint of everything before it.
 //!
 //! A resumed run is replayed in memory up to that TTI and must reach the same fingerprint. The fingerprint covers the
-//! frames of [`DigestFrameEncoder`] in their order; a change of it or of the fields needs a new `VERSION`.
+//! frames of [`DigestFrameEncoder`] in their order, as wire messages; a change of it or of the fields needs a new
+//! `VERSION`. `deploy/src/resume_mark.rs` reads and writes the file and feeds the tracker.
 
 use std::fmt::Write as _;
 
@@ -25,10 +26,11 @@ pub struct ResumeMark {
     version: u32,
     digest_version: u32,
     scenario_hash: String,
-    /// The number of TTIs in a row of windows.csv.
+    /// The number of TTIs in a row of windows.csv. A resumed run must keep it.
     pub window: u64,
     /// The TTI before which everything is complete.
     pub tti: u64,
+    /// The hash of the frames before `tti`, hexadecimal.
     fingerprint: String,
 }
 
@@ -83,11 +85,13 @@ impl ResumeMark {
 #[derive(Clone)]
 pub struct ResumeTracker {
     encoder: DigestFrameEncoder,
-    hash_so_far: Sha256,
-    /// The hash of everything before `next_tti`; a run may end in the middle of a TTI.
-    hash_before_next: Sha256,
+    /// The hash of all frames so far, also of an open TTI.
+    frame_hash: Sha256,
+    /// The hash of the frames before `next_tti`; a run may end in the middle of a TTI.
+    hash_before_next_tti: Sha256,
     scenario_hash: String,
     window: u64,
+    /// The TTI after the last closed one.
     next_tti: Tti,
     /// The mark that the run has to reach; `None` once it has.
     expected: Option<ResumeMark>,
@@ -96,12 +100,12 @@ pub struct ResumeTracker {
 
 impl ResumeTracker {
     /// Creates the tracker of a run of `scenario`, with `window` TTIs in a row of windows.csv. The run has to reach
-    /// `expected`.
+    /// `expected`. It must receive every notification from TTI 0 on.
     pub fn new(scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
         Self {
             encoder: DigestFrameEncoder::default(),
-            hash_so_far: Sha256::new(),
-            hash_before_next: Sha256::new(),
+            frame_hash: Sha256::new(),
+            hash_before_next_tti: Sha256::new(),
             scenario_hash: scenario.hash_hex(),
             window,
             next_tti: Tti::ZERO,
@@ -120,7 +124,7 @@ impl ResumeTracker {
             return false;
         };
         self.next_tti = *last + 1;
-        self.hash_before_next.clone_from(&self.hash_so_far);
+        self.hash_before_next_tti.clone_from(&self.frame_hash);
         true
     }
 
@@ -132,7 +136,7 @@ impl ResumeTracker {
             scenario_hash: self.scenario_hash.clone(),
             window: self.window,
             tti: self.next_tti.0,
-            fingerprint: fingerprint(&self.hash_before_next),
+            fingerprint: fingerprint(&self.hash_before_next_tti),
         }
     }
 
@@ -149,11 +153,12 @@ impl ResumeTracker {
     /// Checks the expected mark once every further frame belongs to TTI `k` or later.
     fn check_mark(&mut self, k: Tti) {
         if let Some(mark) = self.expected.take_if(|mark| Tti(mark.tti) <= k) {
-            self.has_diverged = mark.fingerprint != fingerprint(&self.hash_so_far);
+            self.has_diverged = mark.fingerprint != fingerprint(&self.frame_hash);
         }
     }
 
-    /// Finishes the replay at the TTI where the run resumes.
+    /// Finishes the replay at the TTI where the run resumes. Call it before the first new TTI: [`Self::is_mark_ahead`]
+    /// and [`Self::has_diverged`] are final only then.
     pub fn finish_replay(&mut self) {
         // Quiet TTIs have no frames, so the mark can lie after the last frame.
         self.check_mark(self.next_tti);
@@ -162,7 +167,7 @@ impl ResumeTracker {
     fn hash_frame(&mut self, frame: &Frame) {
         // A mark covers the frames before its TTI, so it is compared before this frame is added.
         self.check_mark(frame.tti);
-        self.hash_so_far.update(codec::encode(frame));
+        self.frame_hash.update(codec::encode(frame));
     }
 }
 
@@ -228,12 +233,12 @@ mod tests {
 
     #[test]
     fn an_invalid_mark_is_refused_with_the_reason() {
-        let own = scenario_with_seed("seed=3");
-        let mark = track_run(&own, 50, None).mark();
+        let scenario = scenario_with_seed("seed=3");
+        let mark = track_run(&scenario, 50, None).mark();
         let error_of = |change: fn(&mut ResumeMark)| {
             let mut mark = mark.clone();
             change(&mut mark);
-            ResumeMark::parse(&mark.text(), &own).expect_err("an invalid mark")
+            ResumeMark::parse(&mark.text(), &scenario).expect_err("an invalid mark")
         };
         assert!(matches!(error_of(|mark| mark.version += 1), ResumeMarkError::Version));
         assert!(matches!(
@@ -249,7 +254,10 @@ mod tests {
         let text = mark.text();
         for end in 0..text.len() {
             assert!(
-                matches!(ResumeMark::parse(&text[..end], &own), Err(ResumeMarkError::Torn(_))),
+                matches!(
+                    ResumeMark::parse(&text[..end], &scenario),
+                    Err(ResumeMarkError::Torn(_))
+                ),
                 "{end} bytes"
             );
         }

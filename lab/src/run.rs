@@ -1,6 +1,6 @@
 //! One run in memory: a [`Session`] together with its device machines. Replays, sweeps, trainings and environments are
-//! such runs. A run has the digest of the same scenario over the bus, whatever its [`RunOptions`].
-//! `view/src/device_mirror.rs` calls the machines in the same way; change both.
+//! such runs. A run has the digest of the same scenario and external inputs over the bus, whatever its [`RunOptions`].
+//! `view/src/device_mirror.rs` and the actors in `device/src/host/` call the machines in the same way; change all.
 
 use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome, WakeOrder};
 use reveille_bs::observer::Observer;
@@ -51,6 +51,7 @@ struct Devices {
     /// The device machines, in the order of ids.
     machines: Vec<Machine>,
     physics: Physics,
+    /// The losses of plans, in the order of TTIs.
     air: Air,
     /// The buffers of [`Self::gather`].
     reports: Vec<Report>,
@@ -115,7 +116,7 @@ impl Run {
         self.session.pending_decision().map(|request| request.observation.now)
     }
 
-    /// The devices, in the order of ids.
+    /// The devices, in the order of ids. Idle ones lag behind the clock; see [`Self::advance_machines`].
     pub fn machines(&self) -> &[Machine] {
         &self.devices.machines
     }
@@ -166,8 +167,8 @@ impl Run {
             .collect()
     }
 
-    /// Runs until `to` is the next TTI. Returns false if `observer` ends the run, a decision is missing, or the run
-    /// ends before `to`. A window that ends with `to` is not closed yet.
+    /// Runs until `to` is the next TTI; does nothing if the run is past it. Returns false if `observer` ends the run, a
+    /// decision is missing, or the run ends before `to`. A window that ends with `to` is not closed yet.
     pub fn advance(&mut self, to: Tti, observer: &mut impl Observer) -> bool {
         while self.session.next_tti() < to {
             if self.step(to, observer).is_some() {
@@ -190,7 +191,8 @@ impl Run {
         self.session.finish(&ledgers, observer)
     }
 
-    /// Returns checkpoints of `count` devices from `first` on, with which another process can resume.
+    /// Returns checkpoints of `count` devices from `first` on, with which another process can resume. Devices do not
+    /// advance for this: an idle one lags behind the clock and catches up after the resumption.
     ///
     /// # Panics
     /// If one of the devices does not exist.
@@ -199,7 +201,7 @@ impl Run {
         machines.iter().map(Machine::checkpoint).collect()
     }
 
-    /// Converts the run for hosts on the bus to resume, with its devices.
+    /// Converts the run for hosts on the bus to resume before the next TTI, with its devices.
     pub fn into_resumed(mut self) -> (Session, HostCheckpoint) {
         let next = self.session.next_tti();
         // `checkpoints` does not advance devices, so they first advance to the same TTI.
@@ -230,6 +232,7 @@ impl Run {
         }
     }
 
+    /// Passes on the decision for which [`Self::run_to_decision`] has halted, of the same stage.
     pub(crate) fn apply_decision(&mut self, decision: Decision, observer: &mut impl Observer) {
         self.session.apply_result(ActionResult::Decided(decision), observer);
     }
@@ -317,7 +320,7 @@ impl Devices {
         machines.map(|machine| advanced_to(machine, k).totals()).sum()
     }
 
-    /// Makes changes at the start of TTI `tti`.
+    /// Makes changes at the start of TTI `tti`, before the plans of its grant.
     fn apply_changes(&mut self, tti: Tti, changes: &[Change]) {
         for change in changes {
             let devices = change.devices().into_iter().flat_map(DeviceRange::devices);
@@ -325,17 +328,19 @@ impl Devices {
         }
     }
 
+    /// Delivers plans, in the order of TTIs, to the devices that do not miss them.
     fn receive_plans(&mut self, updates: &[PlanUpdate]) {
         let Self { machines, air, .. } = self;
         let count = machines.len();
         for PlanUpdate { from, plan } in updates {
-            air.deliver_plan(*from, plan, DeviceId(0), count, |j, cycle| {
-                machines[j].set_duty(*from, cycle);
+            air.deliver_plan(*from, plan, DeviceId(0), count, |j, duty| {
+                machines[j].set_duty(*from, duty);
             });
         }
     }
 
-    /// Advances the devices through a grant. Only `detectors` can have a report, in its last TTI.
+    /// Collects the answers of the devices to a grant. Only `detectors` can have a report, in its last TTI; all others
+    /// may lag behind, unless the grant wants views.
     #[expect(
         clippy::inline_always,
         reason = "the one call is in every grant; `#[inline]` alone leaves it a call"
@@ -352,7 +357,7 @@ impl Devices {
                     SenseOutcome::Nothing => {}
                     SenseOutcome::Unpowered => unpowered += 1,
                     SenseOutcome::Reported(report) => self.reports.push(report),
-                    SenseOutcome::Failed(failure) => self.failures.push(failure),
+                    SenseOutcome::TransmissionFailed(failure) => self.failures.push(failure),
                 }
             }
         }
@@ -383,7 +388,7 @@ fn advanced_to(machine: &mut Machine, k: Tti) -> &Machine {
     machine
 }
 
-/// An observer that stops a run when the closure returns true, checked at the end of each window
+/// An observer that stops a run when its closure returns true, checked at the end of each window
 /// ([`RunOptions::window`]) and of the warm-up.
 #[derive(Clone, Copy, Debug)]
 pub struct StopWhen<F>(pub F);

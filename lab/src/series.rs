@@ -11,17 +11,17 @@ use reveille_common::scenario::WakeUpRanking;
 use crate::stats::CellRuns;
 use crate::table::{ResultRow, Schema, Table};
 
-/// The field with the ranking of wake-up candidates.
+/// The path of the field with the ranking of wake-up candidates, `WakeUpRanking`.
 pub const RANKING: &str = "bs.ranking";
-/// The separator between a policy and its ranking.
+/// The separator between a policy and its ranking; the names of policies do not contain it.
 const SEPARATOR: char = '+';
 
 /// Returns the name of the runs of `policy` with `ranking`, next to runs of other rankings: `knn+posterior`. It is the
 /// policy's name for the ranking by P_4,2 of the paper, and for policies that ignore the field.
 pub fn join_name(policy: &str, ranking: &str) -> String {
     // A policy unknown to this program may use the field, so its ranking is named.
-    let ranks = registry::named(policy).is_none_or(|entry| entry.heeds_ranking);
-    if ranks && !is_paper_ranking(ranking) {
+    let heeds_ranking = registry::named(policy).is_none_or(|entry| entry.heeds_ranking);
+    if heeds_ranking && !is_paper_ranking(ranking) {
         format!("{policy}{SEPARATOR}{ranking}")
     } else {
         policy.to_owned()
@@ -41,7 +41,8 @@ pub fn split_policy(series: &str) -> (&str, bool) {
     }
 }
 
-/// Returns whether both have the same seeds with the same outcomes, as for a policy that ignores rankings.
+/// Returns whether the runs `a` and `b` have the same seeds with the same outcomes, in the same order, as for a policy
+/// that ignores rankings.
 pub fn has_equal_outcomes<'r>(a: impl Iterator<Item = &'r ResultRow>, b: impl Iterator<Item = &'r ResultRow>) -> bool {
     a.map(|row| (row.seed, row.digest))
         .eq(b.map(|row| (row.seed, row.digest)))
@@ -88,27 +89,28 @@ impl SeriesNames {
         let Some(ranking_column) = self.ranking_column else {
             return cells.iter().collect();
         };
+        // Everything but the ranking that distinguishes cells, as in `CellRuns::matches`.
         let other_fields = |cell: &CellRuns<'_>| {
-            let others = cell
+            let other_columns = cell
                 .swept
                 .iter()
                 .enumerate()
                 .filter(|(column, _)| *column != ranking_column);
-            let others: Vec<String> = others.map(|(_, value)| value.to_string()).collect();
+            let other_values: Vec<String> = other_columns.map(|(_, value)| value.to_string()).collect();
             (
                 cell.preset.to_owned(),
                 cell.policy.to_owned(),
                 cell.n,
                 cell.ttis,
-                others,
+                other_values,
             )
         };
         let is_repeat = |index: usize| {
-            let own = &cells[index];
+            let cell = &cells[index];
             let mut earlier_cells = cells[..index].iter();
             earlier_cells.any(|earlier| {
-                other_fields(earlier) == other_fields(own)
-                    && has_equal_outcomes(earlier.rows.iter().copied(), own.rows.iter().copied())
+                other_fields(earlier) == other_fields(cell)
+                    && has_equal_outcomes(earlier.rows.iter().copied(), cell.rows.iter().copied())
             })
         };
         let indices = (0..cells.len()).filter(|index| !is_repeat(*index));

@@ -7,7 +7,8 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::table::{ResultRow, SweptValue, Table};
 
-/// The confidence of all intervals and bounds; names and texts say 95 %.
+/// The confidence of all intervals and bounds; names and texts say 95 %, and `RULE_OF_THREE` in `metric_estimate.rs`
+/// follows from it.
 pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// A mean with its confidence interval.
@@ -65,6 +66,7 @@ impl Estimate {
 /// Running mean and sum of squared differences (Welford), for values in a fixed order.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments {
+    /// The number of values, one for each run.
     runs: usize,
     mean: f64,
     squared_differences: f64,
@@ -107,16 +109,16 @@ impl Moments {
 /// TTIs (ratio estimator, Student's t). `None` for fewer than two parts or Σb = 0.
 pub fn ratio_half_width(parts: &[(f64, f64)]) -> Option<f64> {
     let count = parts.len();
-    let total = parts
+    let (sum_a, sum_b) = parts
         .iter()
-        .fold((0.0, 0.0), |sums, part| (sums.0 + part.0, sums.1 + part.1));
-    if count < 2 || total.1 == 0.0 {
+        .fold((0.0, 0.0), |(sum_a, sum_b), (a, b)| (sum_a + a, sum_b + b));
+    if count < 2 || sum_b == 0.0 {
         return None;
     }
-    let ratio = total.0 / total.1;
+    let ratio = sum_a / sum_b;
     let squares: f64 = parts.iter().map(|(a, b)| (a - ratio * b).powi(2)).sum();
-    let deviation = (squares / (count - 1) as f64).sqrt();
-    Some(student_t_quantile_95(count - 1) * deviation * (count as f64).sqrt() / total.1.abs())
+    let residual_deviation = (squares / (count - 1) as f64).sqrt();
+    Some(student_t_quantile_95(count - 1) * residual_deviation * (count as f64).sqrt() / sum_b.abs())
 }
 
 /// The two-sided 95 % quantile of Student's t with these degrees of freedom; NaN for none.
@@ -149,6 +151,8 @@ impl CellRuns<'_> {
         Estimate::from_values(self.rows.iter().filter_map(|row| row.metric(metric)))
     }
 
+    /// Returns whether `row` is a run of this cell. A new field that distinguishes cells belongs here and in
+    /// `SeriesNames::distinct_cells`.
     fn matches(&self, row: &ResultRow) -> bool {
         self.policy == &*row.policy
             && self.n == row.n

@@ -37,10 +37,9 @@ impl<O: Observer> SteppedRun<O> {
         Self::with_world(&prepared, world, RunOptions::default(), observer)
     }
 
-    /// Creates the run of `prepared`, in the caller's world, at its first decision request.
-    ///
-    /// # Panics
-    /// If the policy is not `external`.
+    /// Creates the run of `prepared`, in the caller's world of the same deployment, at its first decision request. The
+    /// policy must be `external`: under any other the run ends without a request, and [`Self::decision_context`]
+    /// panics.
     pub fn with_world(prepared: &PreparedRun, world: World, options: RunOptions, mut observer: O) -> Self {
         let mut run = Run::with_world(prepared, world, options);
         let halt = run.run_to_decision(&mut observer);
@@ -53,12 +52,15 @@ impl<O: Observer> SteppedRun<O> {
     }
 
     /// The pending decision request; at the end of the run, the request with which a next TTI would begin.
+    ///
+    /// # Panics
+    /// If the policy is not `external`.
     pub fn decision_context(&self) -> DecisionContext<'_> {
         let request = self.pending_decision().or_else(|| self.run.cycle().next_plan_context());
         request.expect("an external policy decides")
     }
 
-    /// Decides at [`DecisionStage::Plan`] and continues to the next decision.
+    /// Decides a plan, at [`DecisionStage::Plan`], and continues to the next decision.
     ///
     /// # Panics
     /// If the run does not wait for a plan.
@@ -71,7 +73,8 @@ impl<O: Observer> SteppedRun<O> {
         self.answer(Decision::Plan(decision));
     }
 
-    /// Decides at [`DecisionStage::Wake`] and continues to the next decision.
+    /// Decides the devices to wake, in this order, at [`DecisionStage::Wake`], and continues to the next decision. An
+    /// empty list ends the wake-ups of the TTI.
     ///
     /// # Panics
     /// If the run does not wait for devices to wake.

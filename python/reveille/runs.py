@@ -45,7 +45,7 @@ def run(
     changes = overrides(
         set, devices=devices, ttis=ttis, battery_knowledge=battery_knowledge, policy=policy, seed=seed
     )
-    return dict((_native.watched if actions else _native.run)(scenario, changes))
+    return dict((_native.run_with_actions if actions else _native.run)(scenario, changes))
 
 
 def sweep(

@@ -1,5 +1,6 @@
-//! Environments that step together, and the NumPy arrays that each step overwrites. `lab/src/gym/` steps; the shapes
-//! here must match its [`BatchBuffers`]. `python/reveille/` wraps this class for Gymnasium.
+//! Environments that step together, and the NumPy arrays that each step overwrites. `lab/src/gym/` steps; shapes and
+//! element types here must match its [`BatchBuffers`]. `python/reveille/` wraps the class `Batch` for Gymnasium and
+//! PettingZoo, and `python/benches/` calls it directly. `_native.pyi` repeats the signatures.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -19,24 +20,27 @@ use reveille_lab::gym::{self, BatchBuffers, Environment, REWARD_TERMS, RewardWei
 use crate::runs::outcome_dict;
 use crate::scenarios::read_external;
 
-/// A batch of environments with the same number of devices. Each step overwrites its arrays.
+/// A batch of K environments with N devices each. Construction, reset, restore and step overwrite its arrays, which the
+/// getters hand out without a copy.
 #[pyclass(name = "Batch", module = "reveille._native", frozen)]
 pub struct PyEnvBatch {
     inner: Mutex<gym::EnvBatch>,
+    /// The preset or file of the scenario, as given to the constructor.
     source: String,
+    /// The overrides of the constructor; resets add theirs without a change here.
     set: Vec<String>,
     weights: RewardWeights,
     arrays: Arrays,
 }
 
-/// The NumPy arrays behind [`BatchBuffers`].
+/// The NumPy arrays behind [`BatchBuffers`], which describes their contents.
 struct Arrays {
-    devices: Py<PyArray3<f32>>,
-    global: Py<PyArray2<f32>>,
+    device_features: Py<PyArray3<f32>>,
+    global_features: Py<PyArray2<f32>>,
     stage: Py<PyArray1<i64>>,
     mask: Py<PyArray2<i8>>,
     reward: Py<PyArray1<f64>>,
-    parts: Py<PyArray2<f64>>,
+    reward_terms: Py<PyArray2<f64>>,
     ttis: Py<PyArray1<i64>>,
     ended: Py<PyArray1<bool>>,
 }
@@ -45,35 +49,38 @@ impl Arrays {
     /// Creates the arrays of `k` environments with `n` devices each.
     fn new(py: Python<'_>, k: usize, n: usize) -> Self {
         Self {
-            devices: PyArray3::zeros(py, [k, n, DEVICE_FEATURES.len()], false).unbind(),
-            global: PyArray2::zeros(py, [k, GLOBAL_FEATURES.len()], false).unbind(),
+            device_features: PyArray3::zeros(py, [k, n, DEVICE_FEATURES.len()], false).unbind(),
+            global_features: PyArray2::zeros(py, [k, GLOBAL_FEATURES.len()], false).unbind(),
             stage: PyArray1::zeros(py, [k], false).unbind(),
             mask: PyArray2::zeros(py, [k, n], false).unbind(),
             reward: PyArray1::zeros(py, [k], false).unbind(),
-            parts: PyArray2::zeros(py, [k, REWARD_TERMS], false).unbind(),
+            reward_terms: PyArray2::zeros(py, [k, REWARD_TERMS], false).unbind(),
             ttis: PyArray1::zeros(py, [k], false).unbind(),
             ended: PyArray1::zeros(py, [k], false).unbind(),
         }
     }
 
     /// Runs `work` on the memory of the arrays, while other Python threads may run.
+    ///
+    /// # Errors
+    /// If another thread is writing into the arrays, or Python code has made one read-only.
     fn with_buffers(&self, py: Python<'_>, work: impl FnOnce(BatchBuffers<'_>) + Send) -> PyResult<()> {
         // `try_readwrite` raises an exception, instead of a panic, while another thread writes into these arrays.
-        let mut devices = self.devices.bind(py).try_readwrite()?;
-        let mut global = self.global.bind(py).try_readwrite()?;
+        let mut device_features = self.device_features.bind(py).try_readwrite()?;
+        let mut global_features = self.global_features.bind(py).try_readwrite()?;
         let mut stage = self.stage.bind(py).try_readwrite()?;
         let mut mask = self.mask.bind(py).try_readwrite()?;
         let mut reward = self.reward.bind(py).try_readwrite()?;
-        let mut parts = self.parts.bind(py).try_readwrite()?;
+        let mut reward_terms = self.reward_terms.bind(py).try_readwrite()?;
         let mut ttis = self.ttis.bind(py).try_readwrite()?;
         let mut ended = self.ended.bind(py).try_readwrite()?;
         let buffers = BatchBuffers {
-            devices: devices.as_slice_mut()?,
-            global: global.as_slice_mut()?,
+            device_features: device_features.as_slice_mut()?,
+            global_features: global_features.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
             mask: mask.as_slice_mut()?,
             reward: reward.as_slice_mut()?,
-            parts: parts.as_slice_mut()?,
+            reward_terms: reward_terms.as_slice_mut()?,
             ttis: ttis.as_slice_mut()?,
             ended: ended.as_slice_mut()?,
         };
@@ -84,7 +91,7 @@ impl Arrays {
     }
 }
 
-/// A copy of an environment.
+/// A copy of an environment, for [`PyEnvBatch::restore`] of this or another batch.
 #[pyclass(module = "reveille._native", frozen)]
 pub(crate) struct Snapshot {
     environment: Mutex<Environment>,
@@ -135,7 +142,7 @@ impl PyEnvBatch {
         let inner = py.detach(|| gym::EnvBatch::new(&scenarios, weights, threads));
         let inner = inner.map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         let batch = Self {
-            arrays: Arrays::new(py, seeds.len(), inner.devices()),
+            arrays: Arrays::new(py, seeds.len(), inner.device_count()),
             inner: Mutex::new(inner),
             source,
             set,
@@ -145,44 +152,47 @@ impl PyEnvBatch {
         Ok(batch)
     }
 
-    /// Restarts each of the environments `which` with the seed at its place in `seeds`, which is as long. `set`
-    /// overrides fields in addition to the overrides of the batch; it replaces the `set` of an earlier reset.
-    fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
+    /// Restarts each of the environments `indices` with the seed at its place in `seeds`. The Python package passes
+    /// lists of one length; the rest of a longer one is ignored. `set` overrides fields in addition to the overrides of
+    /// the batch; it replaces the `set` of an earlier reset.
+    fn reset(&self, py: Python<'_>, indices: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
         let scenario = read_external(py, &self.source, &set)?;
-        let (batch_size, devices) = {
+        let (batch_size, device_count) = {
             let inner = self.lock();
-            (inner.len(), inner.devices())
+            (inner.len(), inner.device_count())
         };
-        if scenario.run.devices as usize != devices {
-            let cause = format!("the environment has {devices} devices, and its spaces cannot change");
+        if scenario.run.devices as usize != device_count {
+            let cause = format!("the environment has {device_count} devices, and its spaces cannot change");
             return Err(PyValueError::new_err(format!(
                 "devices = {}: {cause}",
                 scenario.run.devices
             )));
         }
         let mut scenarios = vec![None; batch_size];
-        for (at, seed) in which.into_iter().zip(seeds) {
+        for (index, seed) in indices.into_iter().zip(seeds) {
             // Checked before any environment restarts, so that an error changes none.
-            Self::check_index(at, batch_size)?;
-            scenarios[at] = Some(scenario.with_seed(seed));
+            Self::check_index(index, batch_size)?;
+            scenarios[index] = Some(scenario.with_seed(seed));
         }
         py.detach(|| self.lock().reset(scenarios));
         self.fill_arrays(py)
     }
 
-    /// Applies a decision in each environment whose flag in `rests` is false.
+    /// Applies a decision, its row of `actions`, in each environment whose flag in `is_resting` is false. Both arrays
+    /// must be contiguous. The others keep their observation and have a reward of 0; the package sets the flag of
+    /// environments that have ended, also of those that it has just reset.
     fn step(
         &self,
         py: Python<'_>,
         actions: PyReadonlyArray2<'_, i8>,
-        rests: PyReadonlyArray1<'_, bool>,
+        is_resting: PyReadonlyArray1<'_, bool>,
     ) -> PyResult<()> {
         // Checked here, since `gym::EnvBatch::step` panics on another length.
-        let shape = [actions.shape()[0], actions.shape()[1], rests.shape()[0]];
+        let shape = [actions.shape()[0], actions.shape()[1], is_resting.shape()[0]];
         let expected = {
             let inner = self.lock();
-            [inner.len(), inner.devices(), inner.len()]
+            [inner.len(), inner.device_count(), inner.len()]
         };
         if shape != expected {
             let [k, n, _] = expected;
@@ -191,32 +201,32 @@ impl PyEnvBatch {
                 shape[0], shape[1]
             )));
         }
-        let (actions, rests) = (actions.as_slice()?, rests.as_slice()?);
+        let (actions, is_resting) = (actions.as_slice()?, is_resting.as_slice()?);
         self.arrays
-            .with_buffers(py, |buffers| self.lock().step(actions, rests, buffers))
+            .with_buffers(py, |buffers| self.lock().step(actions, is_resting, buffers))
     }
 
-    /// Returns the outcome so far of the run in environment `at`.
-    fn outcome<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
+    /// Returns the outcome so far of the run in environment `index`.
+    fn outcome<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
         let outcome = {
             let inner = self.lock();
-            Self::check_index(at, inner.len())?;
-            inner.environments()[at].outcome()
+            Self::check_index(index, inner.len())?;
+            inner.environments()[index].outcome()
         };
         outcome_dict(py, &outcome)
     }
 
-    /// Copies environment `at`.
-    fn snapshot(&self, at: usize) -> PyResult<Snapshot> {
+    /// Copies environment `index`.
+    fn snapshot(&self, index: usize) -> PyResult<Snapshot> {
         let inner = self.lock();
-        Self::check_index(at, inner.len())?;
+        Self::check_index(index, inner.len())?;
         Ok(Snapshot {
-            environment: Mutex::new(inner.environments()[at].fork()),
+            environment: Mutex::new(inner.environments()[index].fork()),
         })
     }
 
-    /// Restores environment `at` from a snapshot.
-    fn restore(&self, py: Python<'_>, at: usize, snapshot: &Snapshot) -> PyResult<()> {
+    /// Restores environment `index` from a snapshot.
+    fn restore(&self, py: Python<'_>, index: usize, snapshot: &Snapshot) -> PyResult<()> {
         let environment = snapshot
             .environment
             .lock()
@@ -225,17 +235,18 @@ impl PyEnvBatch {
             .fork();
         {
             let mut inner = self.lock();
-            Self::check_index(at, inner.len())?;
+            Self::check_index(index, inner.len())?;
             // The arrays have the shape of the first scenario.
-            if environment.template().scenario().run.devices as usize != inner.devices() {
+            if environment.template().scenario().run.devices as usize != inner.device_count() {
                 return Err(PyValueError::new_err("the snapshot has another number of devices"));
             }
-            inner.replace(at, environment);
+            inner.replace(index, environment);
         }
         self.fill_arrays(py)
     }
 
-    /// Whether both batches have the same scenario and weights.
+    /// Whether both batches were created with the same weights, source and overrides, compared as texts. Seeds and the
+    /// overrides of resets do not count.
     fn is_like(&self, other: &Self) -> bool {
         let sources = (&self.source, &self.set) == (&other.source, &other.set);
         sources && self.weights == other.weights
@@ -250,23 +261,24 @@ impl PyEnvBatch {
     /// Number of devices N.
     #[getter]
     fn n(&self) -> usize {
-        self.lock().devices()
+        self.lock().device_count()
     }
 
-    /// Length K of a run, TTIs.
+    /// Length of a run of environment 0, TTIs.
     #[getter]
     fn length(&self) -> u64 {
         self.lock().environments()[0].template().scenario().run.ttis
     }
 
+    /// The features of the devices; see [`BatchBuffers`], as for the getters below.
     #[getter]
     fn devices(&self, py: Python<'_>) -> Py<PyArray3<f32>> {
-        self.arrays.devices.clone_ref(py)
+        self.arrays.device_features.clone_ref(py)
     }
 
     #[getter]
     fn globals(&self, py: Python<'_>) -> Py<PyArray2<f32>> {
-        self.arrays.global.clone_ref(py)
+        self.arrays.global_features.clone_ref(py)
     }
 
     #[getter]
@@ -286,7 +298,7 @@ impl PyEnvBatch {
 
     #[getter]
     fn parts(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
-        self.arrays.parts.clone_ref(py)
+        self.arrays.reward_terms.clone_ref(py)
     }
 
     #[getter]

@@ -1,5 +1,5 @@
 //! Figures of sweeps and runs for Python, drawn by `study/src/figures/` as in `reveille figures`. Only
-//! `python/reveille/figures.py` uses these names.
+//! `python/reveille/figures.py` uses these names, and its class `Figure` shows each [`PyFigure`] to users.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -10,8 +10,6 @@ use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use reveille_bs::policy::registry;
-use reveille_bs::scenario::Scenario;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::find_table;
 use reveille_lab::table::Table;
@@ -22,16 +20,16 @@ use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_s
 use reveille_study::figures::timeline::{self, Timeline};
 use reveille_study::figures::{png, svg};
 
-use crate::scenarios::{read, value_error};
+use crate::scenarios::{read_with_builtin_policy, value_error};
 
-/// A figure.
+/// A figure. The getters describe its fields.
 #[pyclass(name = "Picture", module = "reveille._native", frozen)]
 pub struct PyFigure {
     scene: Scene,
     name: String,
     facet: Vec<(String, String)>,
     csv: Option<String>,
-    undefined: Vec<String>,
+    lines_without_value: Vec<String>,
 }
 
 impl PyFigure {
@@ -41,7 +39,7 @@ impl PyFigure {
             name,
             facet: Vec::new(),
             csv: None,
-            undefined: Vec::new(),
+            lines_without_value: Vec::new(),
         }
     }
 }
@@ -69,7 +67,7 @@ impl PyFigure {
     /// Lines that are not drawn, because none of their runs has a value of the metric.
     #[getter]
     fn undefined(&self) -> Vec<String> {
-        self.undefined.clone()
+        self.lines_without_value.clone()
     }
 
     /// Returns the figure as SVG.
@@ -86,7 +84,8 @@ impl PyFigure {
 
 /// Draws a metric against a field from tables with names and paths: one figure for each combination of values of the
 /// other fields. The values of `by` distinguish the lines, `only` filters the rows, and `log` selects logarithmic axes,
-/// x and y. Also returns a note if there are several figures.
+/// x and y. Also returns a note on the differing fields if there are several figures. `reveille.figure` refuses several
+/// by this note and prints it in its error.
 #[pyfunction]
 #[pyo3(signature = (tables, x, y, by, only, log))]
 pub(crate) fn sweep_pictures(
@@ -126,24 +125,14 @@ pub(crate) fn sweep_pictures(
             name: spec.file_name(&figure.facet),
             facet: figure.facet,
             csv: Some(figure.csv),
-            undefined: figure.lines_without_value,
+            lines_without_value: figure.lines_without_value,
         });
         Ok((pictures.collect(), note))
     })
 }
 
-/// Reads a scenario whose run can be drawn.
-fn read_drawable(py: Python<'_>, source: &str, set: &[String]) -> PyResult<Scenario> {
-    let scenario = read(py, source, set)?;
-    if registry::named(scenario.policy.name()).is_none() {
-        return Err(value_error(
-            "policy external: an environment makes its decisions; choose a built-in policy",
-        ));
-    }
-    Ok(scenario)
-}
-
-/// Draws the deployment of a scenario at the end of one of its events; without `event`, of a typical one.
+/// Draws the deployment of a scenario at the end of one of its events; without `event`, of the one that
+/// [`EventScene::from_scenario`] chooses.
 #[pyfunction]
 #[pyo3(signature = (source, set, event))]
 pub(crate) fn deployment_picture(
@@ -152,7 +141,7 @@ pub(crate) fn deployment_picture(
     set: Vec<String>,
     event: Option<u64>,
 ) -> PyResult<PyFigure> {
-    let scenario = read_drawable(py, source, &set)?;
+    let scenario = read_with_builtin_policy(py, source, &set)?;
     py.detach(|| {
         let event_scene = EventScene::from_scenario(&scenario, event).map_err(value_error)?;
         let name = deployment::file_name(&scenario, &event_scene);
@@ -172,7 +161,7 @@ pub(crate) fn timeline_picture(
     first: Option<u64>,
     length: u64,
 ) -> PyResult<PyFigure> {
-    let scenario = read_drawable(py, source, &set)?;
+    let scenario = read_with_builtin_policy(py, source, &set)?;
     py.detach(|| {
         let first = first.unwrap_or(scenario.warm_up_end().0);
         let timeline_data = Timeline::from_scenario(&scenario, &devices, first, length).map_err(value_error)?;

@@ -1,4 +1,5 @@
-//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`; users see the keys of the dictionaries.
+//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`, and the lists of policies and features.
+//! Users see the keys of the dictionaries.
 //! Long work releases the interpreter, so that other Python threads continue; [`sweep`] also checks for Ctrl-C.
 
 #![expect(
@@ -27,12 +28,13 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::sweep::{ExperimentBuilder, Shard, Sweep, SweepError, SweepGrid, SweepProgress};
 use reveille_lab::table::Format;
 
-use crate::scenarios::{read, read_external_silently, value_error, warn};
+use crate::scenarios::{read_external_silently, read_with_builtin_policy, value_error, warn};
 
 /// Time between two checks for Ctrl-C.
 const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Converts `outcome` to a dictionary.
+/// Converts `outcome` to a dictionary. `python/reveille/vector.py` repeats its keys, and a key missing there makes the
+/// last step of a vector environment fail.
 pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &RunOutcome) -> PyResult<Bound<'py, PyDict>> {
     let metrics = PyDict::new(py);
     for (name, value, _) in outcome.metrics.rows() {
@@ -57,7 +59,7 @@ pub(crate) fn policies() -> Vec<&'static str> {
     registry::names().collect()
 }
 
-/// Returns name and meaning of the features of a device and of the global features.
+/// Returns name and meaning of the features of a device and of the global features, in the order of the arrays.
 #[pyfunction]
 pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
     let pairs = |features: &[reveille_bs::policy::external::Feature]| {
@@ -69,50 +71,44 @@ pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
 /// Runs a scenario and returns its outcome.
 #[pyfunction]
 pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let scenario = read(py, source, &set)?;
-    if registry::named(scenario.policy.name()).is_none() {
-        return Err(value_error(
-            "policy external: an environment makes its decisions; choose a built-in policy",
-        ));
-    }
+    let scenario = read_with_builtin_policy(py, source, &set)?;
     let outcome = py.detach(|| Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut ()));
     outcome_dict(py, &outcome)
 }
 
-/// Runs a scenario and returns its outcome, with the actions that repeat the run in an environment.
+/// Runs a scenario and returns its outcome, with the actions that repeat the run in an environment, their stages, and
+/// the outcome of that environment as `stepped`.
 #[pyfunction]
-pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let (scenario, external_scenario) = (read(py, source, &set)?, read_external_silently(source, &set)?);
-    if registry::named(scenario.policy.name()).is_none() {
-        return Err(value_error(
-            "policy external: an environment makes its decisions; choose a built-in policy",
-        ));
-    }
-    let actions = py.detach(|| record(&scenario, &external_scenario));
-    let actions = actions.ok_or_else(|| value_error("policy genie: it wakes devices before any report is received"))?;
-    let dict = outcome_dict(py, &actions.policy_outcome)?;
+pub(crate) fn run_with_actions<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+    let scenario = read_with_builtin_policy(py, source, &set)?;
+    let external_scenario = read_external_silently(source, &set)?;
+    let recorded = py.detach(|| record(&scenario, &external_scenario));
+    let recorded =
+        recorded.ok_or_else(|| value_error("policy genie: it wakes devices before any report is received"))?;
+    let dict = outcome_dict(py, &recorded.policy_outcome)?;
     let n = scenario.run.devices as usize;
-    let rows = PyArray1::from_vec(py, actions.rows).reshape([actions.stages.len(), n])?;
+    let rows = PyArray1::from_vec(py, recorded.rows).reshape([recorded.stages.len(), n])?;
     dict.set_item("actions", rows)?;
-    dict.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
-    dict.set_item("stepped", outcome_dict(py, &actions.environment_outcome)?)?;
+    dict.set_item("stages", PyArray1::from_vec(py, recorded.stages))?;
+    dict.set_item("stepped", outcome_dict(py, &recorded.environment_outcome)?)?;
     Ok(dict)
 }
 
-/// A receiver of a sweep's progress that stops the sweep once its flag is set, as after Ctrl-C.
-struct PySweepProgress<'a>(&'a AtomicBool);
+/// Progress callbacks that show nothing and stop the sweep once the flag is set, which [`sweep`] does after Ctrl-C.
+struct StopFlag<'a>(&'a AtomicBool);
 
-impl SweepProgress for PySweepProgress<'_> {
+impl SweepProgress for StopFlag<'_> {
     fn planned(&self, _: usize, _: u64) {}
     fn started(&self, _: usize) {}
     fn finished(&self, _: usize) {}
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Runs the experiment in the TOML `text` in `folder`. Returns the path of its table.
+/// Runs the experiment in the TOML `text` in `folder`, or resumes it there. Returns the path of its Parquet table, for
+/// `python/reveille/runs.py`.
 #[pyfunction]
 pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
     let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(value_error)?;
@@ -120,29 +116,29 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
     let warnings: BTreeSet<&String> = grid.cells.iter().flat_map(|cell| &cell.warnings).collect();
     warn(py, warnings)?;
     let stop = AtomicBool::new(false);
-    let work = || -> Result<Option<PathBuf>, SweepError> {
+    let run_sweep = || -> Result<Option<PathBuf>, SweepError> {
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder)?;
-        let finished = sweep.run(threads.max(1), Format::Parquet, &PySweepProgress(&stop))?;
+        let finished = sweep.run(threads.max(1), Format::Parquet, &StopFlag(&stop))?;
         Ok(finished.map(|finished| finished.path))
     };
     let result = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
         let (sender, mut receiver) = channel();
         scope.spawn(move || {
             // A panic that left the scope would reach Python as a `PanicException`, which `except Exception` misses.
-            let result = catch_unwind(AssertUnwindSafe(work));
+            let result = catch_unwind(AssertUnwindSafe(run_sweep));
             let result = result.unwrap_or_else(|panic| Err(SweepError::from_panic(&*panic)));
             // The receiver outlives this thread: also after Ctrl-C the loop below waits for the message.
             let _ = sender.send(result);
         });
         let mut interrupted = None;
         loop {
-            let answer;
+            let received;
             // A receiver cannot be shared between threads, so it is moved into the closure and back.
-            (receiver, answer) = py.detach(move || {
-                let answer = receiver.recv_timeout(SIGNAL_CHECK_INTERVAL);
-                (receiver, answer)
+            (receiver, received) = py.detach(move || {
+                let received = receiver.recv_timeout(SIGNAL_CHECK_INTERVAL);
+                (receiver, received)
             });
-            match answer {
+            match received {
                 // The sweep has ended by now, so its journal is synced also after Ctrl-C.
                 Ok(result) => return interrupted.map_or(Ok(result), Err),
                 Err(RecvTimeoutError::Timeout) => {
@@ -160,7 +156,7 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
             }
         }
     })?;
-    let sweep_error = |error: SweepError| {
+    let to_py_error = |error: SweepError| {
         if matches!(error, SweepError::Panicked(_)) {
             PyRuntimeError::new_err(error.to_string())
         } else {
@@ -168,6 +164,6 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
         }
     };
     result
-        .map_err(sweep_error)?
+        .map_err(to_py_error)?
         .ok_or_else(|| PyRuntimeError::new_err("the sweep was stopped"))
 }

@@ -1,4 +1,5 @@
-//! Evaluation of runs, for the commands `analyse`, `figures`, `report` and `tune` and for the Python package.
+//! Evaluation of runs, for the commands `analyse`, `compare`, `figures`, `inspect misses`, `report` and `tune`, and for
+//! the figures of the Python package.
 //!
 //! - [`claims`]: the paper's claims as data. Start here.
 //! - [`figures`]: result tables merged ([`figures::results`]) and drawn as SVG, PNG and CSV.
@@ -6,7 +7,8 @@
 //! - [`misses`]: the missed events of a run.
 //! - [`analysis`]: the paper's closed forms and chains, compared with runs in memory.
 //!
-//! Nothing here takes part in a run. Output is a function of the input: equal tables give equal bytes.
+//! Nothing here takes part in a run or in its digest. Output is a function of the input: equal tables give equal bytes.
+//! docs/reproduction.md and docs/analysis.md contain output of this crate.
 
 pub mod analysis;
 pub mod claims;

@@ -1,5 +1,7 @@
 //! Actions of operators in runs over the bus: scripted and live actions, killed device processes and base stations. The
-//! digest equals the replay in memory. `hostile_peer` tests that a stranger cannot act.
+//! digest equals the replay in memory. `hostile_peer` tests that a stranger cannot act, `tests/tests/actions.rs` tests
+//! the effects of actions. Texts of actions come from `common/src/message/action.rs`, the grammar of scripts
+//! from docs/actions.md. The lines of `inputs.log` are a file format.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::message::{Change, OperatorAction};
@@ -12,8 +14,8 @@ use reveille_tests::process::{
 use reveille_tests::scenarios::{actions, paper};
 use rustix::process::Signal;
 
-/// Returns the actions as a script.
-fn script(actions: &[OperatorAction]) -> String {
+/// Returns the actions as a script, by the grammar in docs/actions.md.
+fn to_script(actions: &[OperatorAction]) -> String {
     let line = |OperatorAction { tti, change }: &OperatorAction| {
         let devices = change.devices().map_or_else(String::new, |range| {
             format!("{}-{}", range.first, range.first.0 + range.count - 1)
@@ -51,12 +53,12 @@ fn fifty_random_scripts_have_the_same_digest_over_the_bus_and_in_memory() {
             &format!("policy.name={policy}"),
         ]);
         let drawn = actions(&scenario, seed);
-        let text = script(&drawn);
-        folder.write("script", &text);
+        let script = to_script(&drawn);
+        folder.write("script", &script);
         let (mut run, mut counter) = (start(&scenario, RunOptions::default()), ActionCounter::default());
         run.schedule_inputs(&ExternalInputs::from_actions(&drawn));
         let in_memory = run.finish(&mut counter);
-        assert_eq!(counter.0, drawn.len(), "{text}");
+        assert_eq!(counter.0, drawn.len(), "{script}");
         let summary = folder.summary(&format!(
             "up -n {devices} -k {ttis} --seed {seed} -p {policy} -P {} --actions script --audit on --out out{seed}",
             seed % 3
@@ -64,7 +66,7 @@ fn fifty_random_scripts_have_the_same_digest_over_the_bus_and_in_memory() {
         assert_eq!(
             summary.digest(),
             in_memory.digest.to_string(),
-            "{policy}, seed {seed}\n{text}"
+            "{policy}, seed {seed}\n{script}"
         );
         assert_eq!(summary.text("audit"), "complete");
     }
@@ -81,11 +83,11 @@ fn actions_survive_killed_device_processes() {
     let up = folder.start(&format!(
         "up {scenario} -P 4 --pace 4ms --audit on --actions script --record out.mcap --out out --run {run} --json"
     ));
-    for kill in 0..3 {
+    for kill_index in 0..3 {
         let tti = folder.wait_for_tti(&run, 10);
         let acted = folder.clock(&run, "act fail 3,10-14");
         assert!(acted.contains("device 3 fails, devices 10 to 14 fail"), "{acted}");
-        let killed = hosts_of(&run)[kill];
+        let killed = hosts_of(&run)[kill_index];
         send_signal(killed, Signal::KILL);
         wait_until("another process", PATIENCE, || {
             let hosts = hosts_of(&run);
@@ -102,8 +104,8 @@ fn actions_survive_killed_device_processes() {
         (summary.number("timing.losses"), summary.text("audit")),
         (3, "complete")
     );
-    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
-    assert_eq!(again.digest(), summary.digest());
+    let replayed = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
+    assert_eq!(replayed.digest(), summary.digest());
     let scripted = folder.summary(&format!("run {scenario} --actions script"));
     assert_ne!(scripted.digest(), summary.digest(), "live actions change the run");
     let verified = folder.run("inspect verify out.mcap");
@@ -147,8 +149,11 @@ fn actions_survive_a_killed_base_station() {
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
-    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log"));
-    assert_eq!((again.digest(), summary.text("audit")), (summary.digest(), "complete"));
+    let replayed = folder.summary(&format!("run {scenario} --input-log out/inputs.log"));
+    assert_eq!(
+        (replayed.digest(), summary.text("audit")),
+        (summary.digest(), "complete")
+    );
     let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
     for line in [
         "{\"fail\":{\"tti\":",
@@ -169,23 +174,23 @@ fn an_impossible_action_is_refused() {
     ));
     folder.wait_for_clock(&run);
     folder.clock(&run, "run-to 100 --wait");
-    let refused = |action: &str, why: &str| {
+    let assert_action_refused = |action: &str, cause: &str| {
         let finished = folder.run(&format!("clock act {action} --run {run}"));
         assert!(
-            !finished.is_success() && finished.stderr.contains(why),
+            !finished.is_success() && finished.stderr.contains(cause),
             "{action}: {finished}"
         );
     };
-    refused(
+    assert_action_refused(
         "fail 20",
         "device 20: not in the run; use `all`, or devices from 0 to 19",
     );
-    refused("fail 7-2", "must be `all`, or devices and ranges of devices");
-    refused("energy 7 0", "above 0");
-    refused("set policy.age-index.price 1", "policy knn does not use it");
-    refused("set devices 3", "cannot change during a run");
-    refused("fail 7 --at 99", "TTI 99: must be from 100, the next TTI, to 399");
-    refused("fail 7 --at 400", "TTI 400: must be from 100");
+    assert_action_refused("fail 7-2", "must be `all`, or devices and ranges of devices");
+    assert_action_refused("energy 7 0", "above 0");
+    assert_action_refused("set policy.age-index.price 1", "policy knn does not use it");
+    assert_action_refused("set devices 3", "cannot change during a run");
+    assert_action_refused("fail 7 --at 99", "TTI 99: must be from 100, the next TTI, to 399");
+    assert_action_refused("fail 7 --at 400", "TTI 400: must be from 100");
     assert_eq!(
         folder.clock(&run, "act fail 7 --at 399").trim(),
         "TTI 399: device 7 fails"
@@ -220,8 +225,8 @@ fn an_impossible_action_is_refused() {
     folder.clock(&run, "resume");
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");
-    let again = folder.summary("run -n 20 -k 400 -p knn --input-log out/inputs.log");
-    assert_eq!(again.digest(), SummaryJson::read(&folder.join("out")).digest());
+    let replayed = folder.summary("run -n 20 -k 400 -p knn --input-log out/inputs.log");
+    assert_eq!(replayed.digest(), SummaryJson::read(&folder.join("out")).digest());
 }
 
 #[test]

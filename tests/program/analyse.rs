@@ -1,6 +1,6 @@
 //! The command `reveille analyse`: the battery chain against simulated devices; I_min, crossings of the harvest and
 //! run-time exponents against closed forms computed here; CSV files and refusals. `tests/tests/analysis.rs` tests the
-//! analysis itself.
+//! analysis itself. Sheets, columns and words such as `set-up` are keys of `--json`, which programs of users read.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -15,6 +15,7 @@ fn analyse(folder: &TestFolder, args: &str) -> Value {
     serde_json::from_str(&finished.stdout).expect("--json prints JSON")
 }
 
+/// Returns the rows of a sheet in the output of [`analyse`].
 fn rows<'a>(findings: &'a Value, sheet: &str) -> &'a Vec<Value> {
     findings[sheet].as_array().expect("rows")
 }
@@ -38,6 +39,8 @@ fn the_battery_chain_agrees_with_simulated_devices() {
     );
     // Two duty cycles, three mean harvests and two activation probabilities.
     assert_eq!(rows(&findings, "chain").len(), 12);
+    // 0.02 is the limit in docs/analysis.md and in `study/src/analysis/battery/mod.rs`; the other limits allow for
+    // rounding.
     for row in rows(&findings, "chain") {
         assert!(number(row, "total_variation") <= 0.02, "{row}");
         assert!(number(row, "residual") <= 1e-10, "{row}");
@@ -80,6 +83,7 @@ fn transitions_note_printed_forms_that_are_not_probabilities() {
         &folder,
         "transitions --policy random --devices 100 --ttis 400 --seeds 3",
     );
+    // The ten transitions of Sec. IV.
     assert_eq!(rows(&findings, "transitions").len(), 10);
     let s1_probability_sum: f64 = rows(&findings, "transitions")
         .iter()
@@ -170,10 +174,10 @@ fn run_time_exponents_equal_the_least_squares_slope() {
 #[test]
 fn a_csv_file_replaces_a_file_and_follows_a_link() {
     let folder = TestFolder::new();
-    let write_csv = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
+    let analyse_to_csv = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
     folder.write("sheet.csv", "before");
     fs::hard_link(folder.join("sheet.csv"), folder.join("before.csv")).expect("possible");
-    assert!(write_csv("sheet.csv").is_success());
+    assert!(analyse_to_csv("sheet.csv").is_success());
     let read = |name: &str| fs::read_to_string(folder.join(name)).expect("there");
     assert_eq!(
         read("before.csv"),
@@ -181,7 +185,7 @@ fn a_csv_file_replaces_a_file_and_follows_a_link() {
         "the old file was not replaced but overwritten"
     );
     symlink("/dev/stdout", folder.join("shown.csv")).expect("possible");
-    let finished = write_csv("shown.csv");
+    let finished = analyse_to_csv("shown.csv");
     assert!(
         finished.is_success() && finished.stdout.starts_with(&read("sheet.csv")),
         "{finished}"

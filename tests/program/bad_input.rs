@@ -1,5 +1,6 @@
 //! Invalid input: one paragraph with the fault, the place and the allowed values, a failing exit code, and no run
-//! folder unless the run had begun. Also unusual input that is valid.
+//! folder unless the run had begun. Also unusual input that is valid. `limits`, `misbehaving_policy` and `hostile_peer`
+//! test other faults. The texts are parts of messages, which the crates word.
 
 use std::fs;
 use std::net::TcpListener;
@@ -341,6 +342,7 @@ fn too_few_joined_devices_end_the_run() {
     let finished = bs.finish();
     assert_eq!(finished.code(), Some(1), "{finished}");
     assert!(
+        // `start_waiting_bs` starts a run of 30 devices.
         finished.stderr.contains("only 0 of 30 devices joined within 1 s"),
         "{finished}"
     );
@@ -464,6 +466,7 @@ fn run_to_refuses_ttis_in_the_past_or_beyond_the_end() {
 #[test]
 fn an_invalid_input_log_is_refused() {
     let folder = TestFolder::new();
+    // Version 2 of the log, which must still be read (`lab/src/external_inputs/`).
     for (content, reason) in [
         ("garbage", "line 1, column 1: invalid input log entry"),
         ("garbage\n", "line 1, column 1: invalid input log entry"),

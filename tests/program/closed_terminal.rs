@@ -1,5 +1,6 @@
 //! Closed terminals, unread output, ignored and stopping signals: `up`, `bs`, `device`, `run`, `sweep` and `train
-//! record` end cleanly or continue with the digest of an undisturbed run, and leave no process behind.
+//! record` end cleanly or continue with the digest of an undisturbed run, and leave no process behind. `interrupt.rs`
+//! and `signals.rs` test SIGINT and SIGTERM. docs/command-line.md lists the exit codes.
 
 use std::fs;
 use std::process::{Command, ExitStatus};
@@ -13,9 +14,9 @@ use reveille_tests::terminal::PtyCommand;
 use rustix::process::Signal;
 
 /// Options of a run that would take a minute.
-const LONG: &str = "-n 30 -k 12000 --pace 5ms";
-/// Time limit for the end of a command on a busy machine.
-const SOON: Duration = Duration::from_secs(20);
+const LONG_RUN: &str = "-n 30 -k 12000 --pace 5ms";
+/// Time limit for the end of a command on a busy machine. Below [`PATIENCE`], and below the minute of [`LONG_RUN`].
+const END_LIMIT: Duration = Duration::from_secs(20);
 
 /// Waits until no device process of `run` is left.
 fn assert_no_process_left(run: &str) {
@@ -34,10 +35,10 @@ fn close_terminal(command: &mut PtyCommand) -> ExitStatus {
         // Signals sent without a pause would merge into one.
         std::thread::sleep(Duration::from_millis(5));
     }
-    command.finish_within(SOON)
+    command.finish_within(END_LIMIT)
 }
 
-/// Checks the summary of a run that a closed terminal has ended.
+/// Checks the exit code, the files in `out` and the summary of a run that a closed terminal has ended.
 fn assert_interrupted(folder: &TestFolder, status: ExitStatus) {
     assert_eq!(status.code(), Some(130), "{status}");
     let files = folder.list("out");
@@ -53,7 +54,7 @@ fn assert_interrupted(folder: &TestFolder, status: ExitStatus) {
 #[test]
 fn up_in_a_closed_terminal_ends_with_partial_results() {
     let (folder, run) = (TestFolder::new(), unique_run("terminal"));
-    let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")));
+    let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG_RUN} --out out --run {run}")));
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
     let shown = up.shown();
@@ -69,7 +70,7 @@ fn up_in_a_closed_terminal_ends_with_partial_results() {
 #[test]
 fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("terminals"), free_endpoint());
-    let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
+    let bs = format!("bs {LONG_RUN} --out out --run {run} --listen {endpoint}");
     let mut bs = PtyCommand::start(&folder.command(&bs));
     bs.wait_for("waiting for 30 devices");
     let device = format!("device --connect {endpoint} --run {run} --count 30");
@@ -77,7 +78,7 @@ fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     bs.wait_for("TTIs/s");
     let status = close_terminal(&mut bs);
     assert_interrupted(&folder, status);
-    assert!(device.finish_within(SOON).success(), "{}", device.shown());
+    assert!(device.finish_within(END_LIMIT).success(), "{}", device.shown());
 
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
@@ -152,7 +153,7 @@ fn a_run_with_unread_output_continues() {
 fn an_ignored_sighup_stays_ignored() {
     let (folder, run) = (TestFolder::new(), unique_run("nohup"));
     let program = reveille_tests::process::reveille().display();
-    let line = format!("trap '' HUP; exec {program} up -P 2 {LONG} --out out --run {run}");
+    let line = format!("trap '' HUP; exec {program} up -P 2 {LONG_RUN} --out out --run {run}");
     let up = start_shell(&folder, &line);
     let tti = folder.wait_for_tti(&run, 10);
     up.signal(Signal::HUP);
@@ -166,6 +167,7 @@ fn an_ignored_sighup_stays_ignored() {
 #[test]
 fn a_run_continued_after_sigstop_has_the_same_digest() {
     let folder = TestFolder::new();
+    // Long enough that the run is still active at the last stop.
     let args = "-n 50 -k 400000 --window 1000";
     let expected = folder.summary(&format!("run {args}"));
     let run = folder.start(&format!("run {args} --out out --json"));

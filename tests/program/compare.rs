@@ -1,18 +1,21 @@
-//! `compare`: its metrics, differences and intervals equal an independent computation from the files of the runs.
+//! `compare` on runs and recordings: metrics equal `summary.json`, half-widths a second computation from `windows.csv`,
+//! and the first difference a comparison of `events.csv`. Two tests at the end belong to other commands: a run folder
+//! in place of its recording, and the refusal of a list of policies. `compare_sweeps.rs` compares sweeps. The tests
+//! depend on JSON keys and texts of `deploy/src/commands/compare/` and `deploy/src/action_text.rs`.
 
 use reveille_tests::process::{TestFolder, assert_refused};
 use serde_json::Value;
 
-/// Runs `quick` in the folder `out` with these options.
+/// Runs 3000 TTIs of the preset `quick` with these options into the run folder `out`; returns its `summary.json`.
 fn run(folder: &TestFolder, out: &str, args: &str) -> Value {
     let finished = folder.run(&format!("run -s quick -k 3000 --quiet --out {out} {args}"));
     assert!(finished.is_success(), "{finished}");
     serde_json::from_slice(&folder.bytes(&format!("{out}/summary.json"))).expect("a summary")
 }
 
-/// Half the width of the 95 % interval of the information per TTI over α, from ten parts of `windows.csv`: Student's t
-/// with nine degrees of freedom times the standard error of the means. In `quick`, α is 0.2, and [`run`] has a warm-up
-/// of 300 TTIs and windows of 30.
+/// Half the width of the 95 % interval of the information per TTI over α, from ten parts of `windows.csv` (`PARTS` in
+/// `deploy/src/commands/compare/run.rs`): Student's t with nine degrees of freedom times the standard error of the
+/// means. In `quick`, α is 0.2, and [`run`] has a warm-up of 300 TTIs and windows of 30, so each part has 270 TTIs.
 fn half_width_of_p1(folder: &TestFolder, out: &str) -> f64 {
     let text = String::from_utf8(folder.bytes(&format!("{out}/windows.csv"))).expect("text");
     let mut lines = text.lines();
@@ -50,18 +53,21 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
     let finished = folder.run("compare a b c d --json");
     assert!(finished.is_success(), "{finished}");
     let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
-    for (run, summary) in report["runs"].as_array().expect("runs").iter().zip(&summaries) {
+    for (compared, summary) in report["runs"].as_array().expect("runs").iter().zip(&summaries) {
         assert_eq!(
-            (&run["digest"], &run["metrics"]),
+            (&compared["digest"], &compared["metrics"]),
             (&summary["digest"], &summary["metrics"])
         );
     }
-    for (number, out) in ["a", "b", "c"].into_iter().enumerate() {
-        let shown = report["runs"][number]["half_widths"]["info_p1"]
+    for (index, out) in ["a", "b", "c"].into_iter().enumerate() {
+        let reported = report["runs"][index]["half_widths"]["info_p1"]
             .as_f64()
             .expect("a half-width");
         let expected = half_width_of_p1(&folder, out);
-        assert!((shown / expected - 1.0).abs() < 1e-5, "{out}: {shown}, {expected}");
+        assert!(
+            (reported / expected - 1.0).abs() < 1e-5,
+            "{out}: {reported}, {expected}"
+        );
     }
     let fields = report["fields"].as_object().expect("fields");
     assert_eq!(
@@ -72,26 +78,29 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
         fields["radio.uplink_loss"],
         serde_json::json!(["0.0", "0.0", "0.4", "0.0"])
     );
-    let equal: Vec<bool> = (0..3).map(|nth| report["differences"][nth]["equal"] == true).collect();
+    // Differences of runs 2, 3 and 4 from run 1.
+    let equal: Vec<bool> = (0..3)
+        .map(|index| report["differences"][index]["equal"] == true)
+        .collect();
     assert_eq!(equal, [false, false, true], "{report}");
-    // The first lost report is the first difference of the two event tables.
-    let [these, others] =
+    // Up to the first lost report, the two event tables are equal.
+    let [table_a, table_c] =
         ["a", "c"].map(|out| String::from_utf8(folder.bytes(&format!("{out}/events.csv"))).expect("text"));
-    let differing = these
+    let differing_rows = table_a
         .lines()
-        .zip(others.lines())
-        .find(|(this, other)| this != other)
+        .zip(table_c.lines())
+        .find(|(row_a, row_c)| row_a != row_c)
         .expect("a difference");
-    let event = differing.0.split(',').next().expect("a number");
+    let event = differing_rows.0.split(',').next().expect("a number");
     let first = report["differences"][1]["first"].as_str().expect("text");
     assert!(
         first.starts_with(&format!("first difference in event {event} of TTI ")),
-        "{first}: {differing:?}"
+        "{first}: {differing_rows:?}"
     );
 
     let finished = folder.run("compare a b c d");
-    let [random, age_index] = [0, 1].map(|nth| {
-        summaries[nth]["metrics"]["energy_per_device_tti"]
+    let [random, age_index] = [0, 1].map(|index| {
+        summaries[index]["metrics"]["energy_per_device_tti"]
             .as_f64()
             .expect("energy")
     });
@@ -104,13 +113,17 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
     ] {
         assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
     }
+    // A metric outside `MAIN_METRICS` of `deploy/src/results_table.rs`.
     assert!(!finished.stdout.contains("overflow_per_device_tti"), "{finished}");
-    let metrics = finished
+    let metric_lines = finished
         .stdout
         .lines()
         .skip_while(|line| !line.starts_with("metric"))
         .take_while(|line| !line.starts_with("run 1 and"));
-    assert!(metrics.map(|line| line.chars().count()).max() <= Some(80), "{finished}");
+    assert!(
+        metric_lines.map(|line| line.chars().count()).max() <= Some(80),
+        "{finished}"
+    );
     assert!(
         folder
             .run("compare a b --all-metrics")
@@ -128,6 +141,7 @@ fn actions_and_the_sides_of_a_difference_are_named() {
     );
     run(&folder, "plain", "--record plain.mcap");
     run(&folder, "acted", "--actions script --record acted.mcap");
+    // `for 400` adds a fourth action, the revival in TTI 900; the text shows the first three.
     let actions = "  4 actions: TTI 500 devices 0 to 19 fail, TTI 600 devices 0 to 3 receive 2.5\n  \
                    units each, TTI 700 events.alpha is set to 0.05, …\n";
     for (args, parts) in [

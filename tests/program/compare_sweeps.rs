@@ -1,27 +1,49 @@
-//! `compare` on sweeps: paired differences between policies and between sweeps, computed again from the CSV table.
+//! `compare` on sweeps: paired differences between policies and between sweeps equal a second computation from the CSV
+//! tables of the sweeps; invalid requests are refused. The tests depend on JSON keys and texts of
+//! `deploy/src/commands/compare/`, `sweep.rs` and `tables.rs` there. `compare.rs` compares runs.
 
 use std::collections::BTreeMap;
 
 use reveille_tests::process::{TestFolder, assert_refused};
 use serde_json::Value;
 
-/// The two-sided 95 % quantile of Student's t with 6 degrees of freedom, for the 7 seeds of [`SWEEP`], from a table.
-const T_6: f64 = 2.446_912;
+/// Seeds of [`SWEEP`], 1 to this number; [`SWEEP`] and [`T_QUANTILE`] have to match it.
+const SEEDS: u64 = 7;
+/// The two-sided 95 % quantile of Student's t with [`SEEDS`] - 1 degrees of freedom, from a printed table.
+const T_QUANTILE: f64 = 2.446_912;
+/// Sweep with a CSV table.
 const SWEEP: &str = "sweep --policies random,knn,age-index --devices 20,40 --ttis 900 --seeds 7 --format csv --quiet";
 
-/// Reads a metric of a CSV table by policy, N and seed.
-fn metric(table: &str, name: &str) -> BTreeMap<(String, u32, u64), f64> {
+/// Values of a metric by policy, N and seed.
+type MetricValues = BTreeMap<(String, u32, u64), f64>;
+
+/// Reads the metric `name` of the result table `table`, in CSV. Rows without a value are left out.
+fn read_metric(table: &str, name: &str) -> MetricValues {
     let mut lines = table.lines();
     let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
-    let at = |name: &str| header.iter().position(|known| *known == name).expect("a column");
-    let columns = [at("policy"), at("n"), at("seed"), at(name)];
-    let row = |line: &str| {
+    let column = |name: &str| header.iter().position(|known| *known == name).expect("a column");
+    let columns = ["policy", "n", "seed", name].map(column);
+    let parse_row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         let [policy, n, seed, value] = columns.map(|column| cells[column]);
         let key = (policy.to_owned(), n.parse().expect("N"), seed.parse().expect("a seed"));
         Some((key, value.parse().ok()?))
     };
-    lines.filter_map(row).collect()
+    lines.filter_map(parse_row).collect()
+}
+
+/// Checks `difference` and `half_width` of a row of the report against the differences of the single seeds.
+fn assert_interval(row: &Value, differences: &[f64]) {
+    let n = differences.len() as f64;
+    let mean = differences.iter().sum::<f64>() / n;
+    let variance = differences.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    for (key, expected) in [("difference", mean), ("half_width", T_QUANTILE * (variance / n).sqrt())] {
+        let reported = row[key].as_f64().expect("a number");
+        assert!(
+            (reported - expected).abs() < 1e-5 * expected.abs(),
+            "{key} of {row}: {expected}"
+        );
+    }
 }
 
 #[test]
@@ -42,21 +64,12 @@ fn differences_of_policies_equal_those_of_the_table() {
             row["policy"].as_str().expect("text"),
         );
         let n = u32::try_from(row["n"].as_u64().expect("N")).expect("small");
-        let values = metric(&table, name);
-        let differences: Vec<f64> = (1..=7)
+        let values = read_metric(&table, name);
+        let differences: Vec<f64> = (1..=SEEDS)
             .map(|seed| values[&(policy.to_owned(), n, seed)] - values[&("knn".to_owned(), n, seed)])
             .collect();
-        let mean = differences.iter().sum::<f64>() / 7.0;
-        let variance = differences.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 6.0;
-        let half_width = T_6 * (variance / 7.0).sqrt();
-        for (key, expected) in [("difference", mean), ("half_width", half_width)] {
-            let found = row[key].as_f64().expect("a number");
-            assert!(
-                (found - expected).abs() < 1e-5 * expected.abs(),
-                "{key} of {row}: {expected}"
-            );
-        }
-        assert_eq!((&row["seeds"], &row["paired"]), (&7.into(), &true.into()));
+        assert_interval(row, &differences);
+        assert_eq!((&row["seeds"], &row["paired"]), (&SEEDS.into(), &true.into()));
     }
     let by_default = folder.run("compare s/results.csv");
     let text = &by_default.stdout;
@@ -95,6 +108,8 @@ fn two_sweeps_are_compared_over_their_common_seeds() {
 fn sweeps_are_compared_by_policy_and_n() {
     let folder = TestFolder::new();
     folder.write("script", "from 0 every 100 fail 0-9 for 60 at random\n");
+    // Sweep `both` differs from `calm` in actions and in fields. The text wraps at 80 columns, so the names of the
+    // folders determine its line ends below.
     for (args, out) in [
         ("", "calm"),
         ("--actions script", "acted"),
@@ -110,35 +125,30 @@ fn sweeps_are_compared_by_policy_and_n() {
     let finished = folder.run("compare calm acted both --all-metrics --json");
     assert!(finished.is_success(), "{finished}");
     let report: Value = serde_json::from_str(&finished.stdout).expect("JSON");
-    let changed = serde_json::json!({"events.alpha": ["0.2", "0.3"], "radio.uplink_loss": ["0.0", "0.2"]});
-    for (table, name, fields) in [(0, "acted", serde_json::json!({})), (1, "both", changed)] {
-        let found = &report["tables"][table];
-        assert_eq!(found["table"], format!("{name}/results.csv"));
-        assert_eq!(found["against_table"], "calm/results.csv");
-        assert_eq!((&found["actions_differ"], &found["fields"]), (&true.into(), &fields));
+    let changed_fields = serde_json::json!({"events.alpha": ["0.2", "0.3"], "radio.uplink_loss": ["0.0", "0.2"]});
+    for (index, name, fields) in [(0, "acted", serde_json::json!({})), (1, "both", changed_fields)] {
+        let comparison = &report["tables"][index];
+        assert_eq!(comparison["table"], format!("{name}/results.csv"));
+        assert_eq!(comparison["against_table"], "calm/results.csv");
+        assert_eq!(
+            (&comparison["actions_differ"], &comparison["fields"]),
+            (&true.into(), &fields)
+        );
         let tables = ["calm", name].map(|out| {
             let table = folder.bytes(&format!("{out}/results.csv"));
             String::from_utf8(table).expect("text")
         });
         for metric_name in ["info_p1", "energy_per_device_tti"] {
-            let [calm, changed] = tables.each_ref().map(|table| metric(table, metric_name));
+            let [calm_values, changed_values] = tables.each_ref().map(|table| read_metric(table, metric_name));
             for n in [20, 40] {
-                let rows = found["differences"].as_array().expect("rows");
+                let rows = comparison["differences"].as_array().expect("rows");
                 let is_row = |row: &&Value| row["metric"] == metric_name && row["n"] == n;
                 let row = rows.iter().find(is_row).expect("a row");
-                let differences: Vec<f64> = (1..=7)
+                let differences: Vec<f64> = (1..=SEEDS)
                     .map(|seed| ("knn".to_owned(), n, seed))
-                    .map(|run| changed[&run] - calm[&run])
+                    .map(|run| changed_values[&run] - calm_values[&run])
                     .collect();
-                let mean = differences.iter().sum::<f64>() / 7.0;
-                let variance = differences.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 6.0;
-                for (key, expected) in [("difference", mean), ("half_width", T_6 * (variance / 7.0).sqrt())] {
-                    let found = row[key].as_f64().expect("a number");
-                    assert!(
-                        (found - expected).abs() < 1e-5 * expected.abs(),
-                        "{key} of {row}: {expected}"
-                    );
-                }
+                assert_interval(row, &differences);
             }
         }
     }

@@ -1,5 +1,7 @@
 //! The HTTP interface of `reveille dashboard` and `--dashboard`: answers about live and recorded runs, clock commands,
-//! access checks. `tests/browser/` tests the page itself.
+//! actions, access checks, a side-by-side comparison, `--hold`; also the message comparison of `compare`. Paths, JSON
+//! keys and status codes are from `deploy/src/dashboard/`. Timelines and search have tests there; `tests/browser/`
+//! tests the page itself.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -11,17 +13,19 @@ use reveille_tests::process::{
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Largest number of messages in one answer, `MAX_MESSAGES` in `deploy/src/dashboard/api.rs`.
+/// Most messages in one answer: the comparisons of counts below need fewer. It repeats `MAX_MESSAGES` in
+/// `deploy/src/dashboard/api.rs`.
 const PAGE_LIMIT: usize = 1000;
 
 /// Address and token of a running dashboard.
 struct DashboardPage {
+    /// IP address and port.
     address: String,
     token: String,
 }
 
 impl DashboardPage {
-    /// Reads the dashboard's address and token from the output of `process` once they are printed.
+    /// Reads the dashboard's address and token from the note `http://ADDRESS/#TOKEN` of `process`, once it is printed.
     fn from_output_of(process: &Process) -> Self {
         process.wait_for_stderr("http://");
         let stderr = process.stderr();
@@ -37,7 +41,8 @@ impl DashboardPage {
         }
     }
 
-    /// Sends a request with these additional headers; returns the status and the body.
+    /// Sends a request with these additional headers; returns the status and the body. A header `Host` replaces the
+    /// default one.
     fn request(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
         let mut stream = TcpStream::connect(&self.address).expect("a link");
         let host = headers
@@ -65,19 +70,19 @@ impl DashboardPage {
         (status, body.to_owned())
     }
 
-    /// Requests `path` and returns its JSON.
+    /// Requests `path` without the token and returns its JSON. Fails unless the status is 200.
     fn get(&self, path: &str) -> Value {
         let (status, body) = self.request("GET", path, &[]);
         assert_eq!(status, 200, "{path}: {body}");
         serde_json::from_str(&body).expect("JSON")
     }
 
-    /// Sends a clock command and returns the answer.
+    /// Sends a clock command, such as `step?n=1`, and returns the answer.
     fn clock(&self, command: &str) -> Value {
         self.post(&format!("/api/clock/{command}"))
     }
 
-    /// Posts to `path` with the token and returns the answer.
+    /// Posts to `path` with the token and returns the answer. Fails unless the status is 200.
     fn post(&self, path: &str) -> Value {
         let (status, body) = self.request("POST", path, &[("x-reveille-token", &self.token)]);
         assert_eq!(status, 200, "{path}: {body}");
@@ -88,20 +93,21 @@ impl DashboardPage {
 #[test]
 fn the_dashboard_acts_on_a_device() {
     let (folder, run) = (TestFolder::new(), unique_run("dash"));
-    let scenario = "-p knn -n 20 -k 200";
+    let options = "-p knn -n 20 -k 200";
     let up = folder.start(&format!(
-        "up {scenario} -P 2 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0"
+        "up {options} -P 2 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0"
     ));
     let page = DashboardPage::from_output_of(&up);
     folder.wait_for_tti(&run, 0);
-    let wait_for = |next: u64| {
+    let wait_for_next_tti = |next: u64| {
         wait_until("a TTI", PATIENCE, || {
             (page.get("/api/now")["next"] == next).then_some(())
         });
     };
     page.clock("run-to?n=50");
-    wait_for(50);
-    let state = |tti: u64| {
+    wait_for_next_tti(50);
+    // Device 3, whose code is `x` while it is failed (`state_codes` in `deploy/src/dashboard/feed.rs`).
+    let state_code = |tti: u64| {
         page.get(&format!("/api/tti/{tti}"))["states"]
             .as_str()
             .map(|states| states.as_bytes()[3])
@@ -115,8 +121,8 @@ fn the_dashboard_acts_on_a_device() {
     assert_eq!(page.post("/api/act/energy?device=3&units=7.5")["tti"], 50);
     let before = battery().expect("a level");
     page.clock("step?n=1");
-    wait_for(51);
-    assert_eq!((state(49) != Some(b'x'), state(50)), (true, Some(b'x')));
+    wait_for_next_tti(51);
+    assert_eq!((state_code(49) != Some(b'x'), state_code(50)), (true, Some(b'x')));
     let gained = battery().expect("a level") - before;
     // An arrival of the paper's scenario has 5 units.
     assert!(
@@ -136,8 +142,8 @@ fn the_dashboard_acts_on_a_device() {
     }
     page.clock("resume");
     assert!(up.finish().is_success());
-    let again = folder.summary(&format!("run {scenario} --input-log o/inputs.log"));
-    assert_eq!(again.digest(), SummaryJson::read(&folder.join("o")).digest());
+    let repeated = folder.summary(&format!("run {options} --input-log o/inputs.log"));
+    assert_eq!(repeated.digest(), SummaryJson::read(&folder.join("o")).digest());
 }
 
 #[test]
@@ -167,36 +173,37 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
     wait_until("TTI 151", PATIENCE, || {
         (page.get("/api/now")["next"] == 151).then_some(())
     });
-    // The header, the curves and the tables of the run folder have the same events, those of the last TTI included.
+    // The header, the curves and the tables of the run folder have the same events, also of the last TTI.
     wait_until("equal counts", PATIENCE, || {
-        let (now, curves) = (page.get("/api/now"), page.get("/api/curves"));
+        let (current, curves) = (page.get("/api/now"), page.get("/api/curves"));
         let finished = folder.run("inspect misses o --json");
         let misses: Value = serde_json::from_str(&finished.stdout).expect("a report");
-        let counts = ["events", "missed"].map(|name| now[name].as_u64());
+        let counts = ["events", "missed"].map(|name| current[name].as_u64());
         let [Some(events), Some(missed)] = counts else {
             return None;
         };
-        let last = curves.as_array()?.last()?;
-        let share = last["metrics"][1].as_f64()?;
+        let last_point = curves.as_array()?.last()?;
+        // `misdetection_pct` is the second entry of `CURVE_METRICS`.
+        let missed_pct = last_point["metrics"][1].as_f64()?;
         (events > 10
             && counts == ["events", "missed"].map(|name| misses[name].as_u64())
-            && (share - 100.0 * missed as f64 / events as f64).abs() < 1e-9
-            && last["tti"] == 150)
+            && (missed_pct - 100.0 * missed as f64 / events as f64).abs() < 1e-9
+            && last_point["tti"] == 150)
             .then_some(())
     });
     let tti_state = page.get("/api/tti/100");
     assert_eq!(tti_state["states"].as_str().map(str::len), Some(20));
     assert_eq!(page.request("GET", "/api/tti/151", &[]).0, 404);
     let reports = page.get("/api/messages?kind=report&until=150");
-    let first = &reports[0];
-    let tti_view = page.get(&format!("/api/tti/{}", first["tti"]));
-    let reporter = format!("device {}", tti_view["reported"][0]);
-    assert_eq!(first["whose"], reporter.as_str());
-    let message = page.get(&format!("/api/message/{}", first["id"]));
+    let first_report = &reports[0];
+    let report_tti_state = page.get(&format!("/api/tti/{}", first_report["tti"]));
+    let reporter = format!("device {}", report_tti_state["reported"][0]);
+    assert_eq!(first_report["whose"], reporter.as_str());
+    let message = page.get(&format!("/api/message/{}", first_report["id"]));
     assert_eq!(message["message"]["kind"], "report");
     assert_eq!(
         message["hex"].as_str().map(str::len),
-        first["bytes"].as_u64().map(|bytes| 2 * bytes as usize)
+        first_report["bytes"].as_u64().map(|bytes| 2 * bytes as usize)
     );
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
@@ -210,7 +217,7 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
     });
     assert!(start.elapsed() > Duration::from_millis(180), "{:?}", start.elapsed());
     assert!(folder.clock(&run, "status").contains("a TTI every 10ms"));
-    // A pause does not wait for a TTI that is due in a minute.
+    // A pause does not wait for a TTI that is due in a minute: less than half of it is enough on a busy machine.
     page.clock("pace?n=60000000");
     page.clock("resume");
     wait_until("TTI 172", PATIENCE, || {
@@ -307,34 +314,37 @@ fn a_run_killed_while_observed_is_shown_to_its_end() {
 #[test]
 fn two_runs_are_compared_side_by_side() {
     let folder = TestFolder::new();
-    let run = |name: &str, args: &str| {
+    let record = |name: &str, args: &str| {
         let finished = folder.run(&format!(
             "{args} -n 25 -k 400 --record {name}.mcap --quiet --out {name}"
         ));
         assert!(finished.is_success(), "{finished}");
     };
-    run("one", "run -p age-index");
-    run("two", "run -p age-index --set seed=2");
-    run("bus", "up -p age-index -P 2");
-    let same = folder.run("compare --exit-code one.mcap bus.mcap");
+    record("one", "run -p age-index");
+    record("two", "run -p age-index --set seed=2");
+    record("bus", "up -p age-index -P 2");
+    let of_equal_runs = folder.run("compare --exit-code one.mcap bus.mcap");
     assert!(
-        same.is_success()
-            && same
+        of_equal_runs.is_success()
+            && of_equal_runs
                 .stdout
                 .ends_with("run 1 and run 2: no difference in the messages\n"),
-        "{same}"
+        "{of_equal_runs}"
     );
     // The former name has the same exit code.
-    let differ = folder.run("inspect compare one.mcap two.mcap");
-    assert_eq!(differ.code(), Some(1), "{differ}");
+    let of_different_runs = folder.run("inspect compare one.mcap two.mcap");
+    assert_eq!(of_different_runs.code(), Some(1), "{of_different_runs}");
     for part in ["\n  seed = 1 | 2\n", "run 1 and run 2: first difference: plan in TTI 0"] {
-        assert!(differ.stdout.contains(part), "no {part:?}: {differ}");
+        assert!(
+            of_different_runs.stdout.contains(part),
+            "no {part:?}: {of_different_runs}"
+        );
     }
     assert!(
-        differ
+        of_different_runs
             .stderr
             .contains("`inspect compare` is now called `compare --exit-code`"),
-        "{differ}"
+        "{of_different_runs}"
     );
     let bytes = folder.bytes("one.mcap");
     std::fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 2]).expect("written");
@@ -374,16 +384,16 @@ fn two_runs_are_compared_side_by_side() {
     );
 
     // A live run, next to its expected final state.
-    let name = unique_run("compared");
+    let run = unique_run("compared");
     let up = folder.start(&format!(
-        "up -p age-index -n 25 -k 400 -P 2 --paused --run {name} --quiet --out live"
+        "up -p age-index -n 25 -k 400 -P 2 --paused --run {run} --quiet --out live"
     ));
-    folder.wait_for_tti(&name, 0);
+    folder.wait_for_tti(&run, 0);
     let dashboard = folder.start(&format!(
-        "dashboard --run {name} --compare one.mcap --listen 127.0.0.1:0"
+        "dashboard --run {run} --compare one.mcap --listen 127.0.0.1:0"
     ));
     let page = DashboardPage::from_output_of(&dashboard);
-    folder.clock(&name, "resume");
+    folder.clock(&run, "resume");
     assert!(up.finish().is_success());
     wait_until("the end", PATIENCE, || {
         (page.get("/api/now")["over"] == true).then_some(())
@@ -407,7 +417,7 @@ fn untrusted_clients_are_refused() {
     let token = ("x-reveille-token", &page.token[..]);
     let mut wrong_token = page.token.clone();
     wrong_token.replace_range(0..1, if wrong_token.starts_with('0') { "1" } else { "0" });
-    for (headers, status) in [
+    for (headers, expected_status) in [
         (vec![], 401),
         (vec![("x-reveille-token", &wrong_token[..])], 401),
         (vec![token, ("Origin", "http://evil.example")], 403),
@@ -415,8 +425,8 @@ fn untrusted_clients_are_refused() {
         (vec![token, ("Host", "evil.example")], 421),
         (vec![token, ("Sec-Fetch-Site", "cross-site")], 403),
     ] {
-        let (actual, body) = page.request("POST", "/api/clock/resume", &headers);
-        assert_eq!(actual, status, "{headers:?}: {body}");
+        let (actual_status, body) = page.request("POST", "/api/clock/resume", &headers);
+        assert_eq!(actual_status, expected_status, "{headers:?}: {body}");
     }
     assert_eq!(page.request("GET", "/api/clock/resume", &[token]).0, 405);
     assert_eq!(page.request("POST", "/api/clock/leap", &[token]).0, 400);
@@ -442,7 +452,7 @@ fn a_client_that_never_reads_does_not_delay_the_run() {
     let folder = TestFolder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");
     let page = DashboardPage::from_output_of(&up);
-    // Clients send requests, and some never read the answers.
+    // All clients request the endless stream of states. The first reads up to one state, the others read nothing.
     let clients: Vec<TcpStream> = (0..50)
         .map(|_| {
             let mut stream = TcpStream::connect(&page.address).expect("a link");
@@ -453,7 +463,7 @@ fn a_client_that_never_reads_does_not_delay_the_run() {
     let mut lines = BufReader::new(&clients[0]).lines();
     let update = lines.find_map(|line| line.ok()?.strip_prefix("data: ").map(str::to_owned));
     assert!(update.is_some_and(|update| update.contains("\"states\"")));
-    assert!(up.finish_within(Duration::from_mins(2)).is_success());
+    assert!(up.finish_within(PATIENCE).is_success());
 }
 
 #[test]
@@ -472,8 +482,8 @@ fn a_recording_is_shown_without_a_clock() {
         (&false.into(), &false.into())
     );
     assert!(run_info["groups"].as_array().is_some_and(|groups| groups.len() == 20));
-    let now = page.get("/api/now");
-    assert_eq!((&now["next"], &now["over"]), (&300.into(), &true.into()));
+    let current = page.get("/api/now");
+    assert_eq!((&current["next"], &current["over"]), (&300.into(), &true.into()));
     assert!(
         page.get("/api/curves")
             .as_array()
@@ -498,9 +508,9 @@ fn a_held_dashboard_shows_the_run_after_its_end() {
     let page = DashboardPage::from_output_of(&up);
     up.wait_for_stderr("the dashboard is served until Ctrl-C");
     assert!(up.stdout().contains("results in o"), "{}", up.stdout());
-    let moment = page.get("/api/now");
+    let current = page.get("/api/now");
     assert_eq!(
-        (&moment["over"], &moment["next"]),
+        (&current["over"], &current["next"]),
         (&Value::from(true), &Value::from(300))
     );
     assert_eq!(page.get("/api/tti/150")["tti"], 150);

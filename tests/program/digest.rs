@@ -1,15 +1,18 @@
 //! One scenario and seed give one digest with `run`, `up` and `bs`, in one process or many. Lookahead, window, pace,
 //! pauses, steps, the assignment of devices and observers do not change it; policies, presets, seeds and fields do.
+//! Here digests are compared with each other; `tests/digests/` compares them with recorded values. A new policy of the
+//! registry takes part without a change here, with its default settings.
 
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
 
-/// Thirty devices, and enough TTIs for reports, failures and wake-ups.
+/// Thirty devices, and enough TTIs for reports, failures and wake-ups. [`COMMANDS`], [`digest_of_two_hosts`] and texts
+/// of the tests repeat both numbers.
 const SMALL: &str = "-n 30 -k 400";
 
-/// Commands that must give the same digest. One occurs twice, since processes are scheduled differently each time.
+/// Commands that must have the same digest. One occurs twice, since processes are scheduled differently each time.
 const COMMANDS: [&str; 9] = [
     "run",
     "run --no-lookahead",
@@ -25,7 +28,8 @@ const COMMANDS: [&str; 9] = [
 /// Commands for variations of a policy that is tested with all of [`COMMANDS`].
 const FEW_COMMANDS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
-/// Settings that exercise other code paths of a policy or the world, in addition to the ranking of wake-ups.
+/// A policy, and settings that exercise other code paths of this policy or of the world. The posterior ranking of every
+/// policy has a separate test.
 const FURTHER_SETTINGS: [(&str, &str); 8] = [
     (
         "q-learning",
@@ -56,11 +60,12 @@ const FURTHER_SETTINGS: [(&str, &str); 8] = [
     ),
 ];
 
-/// All radio faults together.
+/// All radio faults together; a new field of `radio` belongs here.
 const RADIO_FAULTS: &str = "--set radio.wake_miss=0.3 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 \
                        --set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts \
                        --set bs.sync_interval=37";
 
+/// Runs `reveille ARGS` in a new folder and returns the digest.
 fn digest(args: &str) -> String {
     TestFolder::new().summary(args).digest().to_owned()
 }
@@ -70,7 +75,7 @@ fn digest(args: &str) -> String {
 fn common_digest(source: &str, policy: &str, commands: &[&str]) -> String {
     let scenario = format!("-s {source} -p {policy} {SMALL}");
     let folder = TestFolder::new();
-    let mut table = String::new();
+    let mut digest_list = String::new();
     let mut digests = Vec::new();
     for command in commands {
         let summary = folder.summary(&format!("{command} {scenario}"));
@@ -78,11 +83,11 @@ fn common_digest(source: &str, policy: &str, commands: &[&str]) -> String {
             summary.number("totals.events.events") > 0,
             "{command} {scenario}: no events"
         );
-        let _infallible = writeln!(table, "{}  {command}", summary.digest());
+        let _infallible = writeln!(digest_list, "{}  {command}", summary.digest());
         digests.push(summary.digest().to_owned());
     }
     digests.dedup();
-    assert_eq!(digests.len(), 1, "{scenario}\n{table}");
+    assert_eq!(digests.len(), 1, "{scenario}\n{digest_list}");
     digests.remove(0)
 }
 
@@ -91,9 +96,9 @@ fn common_digest(source: &str, policy: &str, commands: &[&str]) -> String {
 fn check_every_second_policy(first: usize) {
     for policy in registry::names().skip(first).step_by(2) {
         let expected = common_digest("paper", policy, &COMMANDS);
-        for other in ["--seed 2", "--set harvest.lambda=0.11", "--set events.alpha=0.21"] {
-            let changed = digest(&format!("run -s paper -p {policy} {SMALL} {other}"));
-            assert_ne!(changed, expected, "{policy} {other}");
+        for change in ["--seed 2", "--set harvest.lambda=0.11", "--set events.alpha=0.21"] {
+            let changed = digest(&format!("run -s paper -p {policy} {SMALL} {change}"));
+            assert_ne!(changed, expected, "{policy} {change}");
         }
     }
 }
@@ -235,7 +240,8 @@ fn an_observer_does_not_change_the_digest() {
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --no-lookahead --run {run} --json"));
     folder.wait_for_tti(&run, 0);
     let tail = folder.start(&format!("inspect tail --json --run {run}"));
-    // Steps until the observer shows a grant, which proves that it receives frames.
+    // Steps until the observer shows a grant, which proves that it receives frames. `Grant` is the JSON name of a
+    // variant of `ClockMessage`.
     wait_until("the observer to show a grant", PATIENCE, || {
         folder.clock(&run, "step");
         tail.stdout().contains("Grant").then_some(())

@@ -1,4 +1,7 @@
-//! Checks the README and the documentation: commands exist, links resolve, and the contents list every page.
+//! Checks the README and the pages of docs/: the subcommands that they name exist, their example runs use separate run
+//! folders, links of all Markdown files resolve, and docs/SUMMARY.md lists every page. Options and outputs are not
+//! checked here: `tutorial.rs` runs the commands of docs/tutorial.md. `tests/book/` checks the links of the site that
+//! mdBook builds.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -24,7 +27,7 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// Returns the code of a page: text between backquotes, inline or in blocks.
+/// Returns the code of a page: text between backquotes, inline or in blocks. A block can occur twice.
 fn code(text: &str) -> impl Iterator<Item = &str> {
     text.split('`')
         .skip(1)
@@ -32,8 +35,9 @@ fn code(text: &str) -> impl Iterator<Item = &str> {
         .chain(text.split("```").skip(1).step_by(2))
 }
 
-/// Returns the two words after the first `reveille` in each line of a page's code.
-fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
+/// Returns the one or two words after the first `reveille` in each line of a page's code: possible subcommands, not
+/// options, files or values with other characters than lower-case letters and hyphens.
+fn named_commands(text: &str) -> Vec<(&str, Option<&str>)> {
     let is_word = |word: &&str| word.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !word.starts_with('-');
     let lines = code(text).flat_map(str::lines);
     lines
@@ -42,16 +46,17 @@ fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
             let words: Vec<&str> = line.split_whitespace().skip_while(|word| *word == "$").collect();
             let is_start = |word: &str| word == "reveille" || word.ends_with("/reveille");
             let is_cargo = words.starts_with(&["cargo", "run"]);
-            let at = words
+            let start = words
                 .iter()
                 .position(|word| is_start(word) || is_cargo && *word == "--")?;
-            let after = |n: usize| words.get(at + n).copied().filter(is_word);
+            let after = |n: usize| words.get(start + n).copied().filter(is_word);
             after(1).map(|first| (first, after(2)))
         })
         .collect()
 }
 
-/// Returns the subcommands in the help of `reveille ARGS`, if it requires a subcommand.
+/// Returns the subcommands in the help of `reveille ARGS`, or nothing if it requires no subcommand. Depends on the
+/// layout of the help: `Usage: … <COMMAND>`, names indented by two spaces, then `Options:`.
 fn subcommands(folder: &TestFolder, args: &str) -> BTreeSet<String> {
     let help = folder.run(&format!("{args} --help"));
     assert!(help.is_success(), "{help}");
@@ -61,13 +66,13 @@ fn subcommands(folder: &TestFolder, args: &str) -> BTreeSet<String> {
         return BTreeSet::new();
     }
     // The top-level help lists the commands in groups.
-    let list = help
+    let after_usage = help
         .stdout
         .lines()
         .skip_while(|line| !line.starts_with("Usage: "))
         .skip(1);
-    let list = list.take_while(|line| *line != "Options:");
-    let names = list.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let command_list = after_usage.take_while(|line| *line != "Options:");
+    let names = command_list.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     names
         .filter_map(|line| line.split_whitespace().next().map(str::to_owned))
         .collect()
@@ -79,7 +84,7 @@ fn runs_of_the_pages_use_separate_folders() {
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
         for line in text.lines().filter_map(|line| line.strip_prefix("$ reveille ")) {
-            let words: Vec<&str> = line.split_whitespace().skip_while(|word| *word == "$").collect();
+            let words: Vec<&str> = line.split_whitespace().collect();
             let out = words.windows(2).find(|pair| pair[0] == "--out").map(|pair| pair[1]);
             if let (true, Some(out)) = (["run", "up", "bs"].contains(&words[0]), out) {
                 assert!(
@@ -101,7 +106,7 @@ fn every_subcommand_that_is_named_exists() {
     let mut command_count = 0;
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
-        let commands = commands(&text);
+        let commands = named_commands(&text);
         command_count += commands.len();
         let page = page.display();
         for (first, second) in commands {
@@ -109,13 +114,13 @@ fn every_subcommand_that_is_named_exists() {
                 known.contains(first),
                 "{page} names `reveille {first}`; there are {known:?}"
             );
-            let below = subcommands(&folder, first);
-            if let Some(second) = second.filter(|second| !below.is_empty() && !below.contains(*second)) {
+            let listed = subcommands(&folder, first);
+            if let Some(second) = second.filter(|second| !listed.is_empty() && !listed.contains(*second)) {
                 // Developer commands are not listed.
                 let help = folder.run(&format!("{first} {second} --help"));
                 assert!(
                     help.is_success(),
-                    "{page} names `reveille {first} {second}`; there are {below:?}"
+                    "{page} names `reveille {first} {second}`; there are {listed:?}"
                 );
             }
         }
@@ -165,7 +170,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
             .strip_prefix(' ')
             .filter(|_| line.starts_with('#'))
     });
-    let anchor = |heading: &str| -> String {
+    let to_anchor = |heading: &str| -> String {
         let kept = heading
             .trim()
             .chars()
@@ -174,7 +179,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     };
     headings
         .map(|heading| {
-            let anchor = anchor(heading);
+            let anchor = to_anchor(heading);
             let number = occurrences.entry(anchor.clone()).or_default();
             *number += 1;
             match *number - 1 {
@@ -188,24 +193,32 @@ fn anchors(text: &str) -> BTreeSet<String> {
 /// Returns the targets of the links and pictures of a page, without links to other sites.
 fn links(text: &str) -> Vec<String> {
     let text = prose(text).collect::<Vec<_>>().join("\n");
-    let after = |start: &'static str, end: char| {
-        let found = text.split(start).skip(1).filter_map(move |rest| rest.split(end).next());
-        found.map(str::to_owned).collect::<Vec<_>>()
+    let texts_between = |start: &'static str, end: char| {
+        let texts = text
+            .split(start)
+            .skip(1)
+            .filter_map(move |after_start| after_start.split(end).next());
+        texts.map(str::to_owned).collect::<Vec<_>>()
     };
-    let is_elsewhere = |link: &str| {
+    let is_on_another_site = |link: &str| {
         ["http:", "https:", "mailto:"]
             .iter()
             .any(|scheme| link.starts_with(scheme))
     };
-    let all = [after("](", ')'), after("src=\"", '"'), after("href=\"", '"')].concat();
-    all.into_iter().filter(|link| !is_elsewhere(link)).collect()
+    let targets = [
+        texts_between("](", ')'),
+        texts_between("src=\"", '"'),
+        texts_between("href=\"", '"'),
+    ]
+    .concat();
+    targets.into_iter().filter(|link| !is_on_another_site(link)).collect()
 }
 
 #[test]
 fn every_link_resolves() {
     let (mut link_count, mut broken) = (0, Vec::new());
     for page in markdown_files() {
-        // The start of a generated page, which is checked as a whole.
+        // The start of docs/scenario.md, which is generated and checked as a whole: its links start in docs/.
         if page.ends_with("bs/src/scenario/head.md") {
             continue;
         }
@@ -241,7 +254,8 @@ fn links_and_anchors_are_read_as_on_the_site() {
 #[test]
 fn the_contents_list_every_page_under_its_kind() {
     let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).expect("the contents");
-    // The first part is the text before the title.
+    // Each heading opens a group, and the title `Reveille` the first of them, without pages. The first part is the text
+    // before the title.
     let groups = contents.split("# ").skip(1).map(|group| {
         let (kind, pages) = group.split_once('\n').unwrap_or((group, ""));
         (kind, links(pages))
@@ -258,8 +272,8 @@ fn the_contents_list_every_page_under_its_kind() {
             continue;
         }
         let kinds_of_page = groups.iter().flat_map(|(kind, listed)| {
-            let own = listed.iter().filter(|listed| *listed == name);
-            own.map(|_| *kind)
+            let entries_of_page = listed.iter().filter(|listed| *listed == name);
+            entries_of_page.map(|_| *kind)
         });
         let kinds_of_page: Vec<&str> = kinds_of_page.collect();
         let is_of_one_kind = kinds_of_page.len() == 1 && kinds_of_page[0] != "Reveille";
@@ -268,10 +282,10 @@ fn the_contents_list_every_page_under_its_kind() {
             "docs/{name} must be under one kind of page, not {kinds_of_page:?}"
         );
     }
-    let listed: usize = groups.iter().map(|(_, listed)| listed.len()).sum();
+    let entry_count: usize = groups.iter().map(|(_, listed)| listed.len()).sum();
     // README.md is not in docs/, and the contents do not list themselves.
     assert_eq!(
-        listed,
+        entry_count,
         pages().len() - 2,
         "docs/SUMMARY.md lists pages that do not exist"
     );

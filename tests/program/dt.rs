@@ -1,11 +1,14 @@
 //! The commands `train record` and `train dt`, and `run -p dt` with a model file: reproducible recordings and models,
 //! also after a kill, and refusals of invalid files. `lab/src/transformer/` tests the training itself.
+//!
+//! Tests of `train dt` need the cargo feature `train-dt` and belong to the module `transformer` here: `.ci/run` selects
+//! them by this word.
 
 use std::fs;
 
 use reveille_tests::process::{TestFolder, assert_refused};
 
-/// Command for a small recording.
+/// Command for a small recording. `signals.rs` repeats it.
 const RECORD: &str =
     "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --stride 40";
 
@@ -65,7 +68,7 @@ fn a_run_over_the_bus_is_recorded_from_its_folder() {
     let finished = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out genie");
     assert!(finished.is_success(), "{finished}");
     assert_refused(&folder.run("train record --from genie --out c.parquet"), 1, &["genie"]);
-    // With other settings or a digest that differs from the run's.
+    // A recording from a folder takes its settings from there, and its replay has to reproduce the run's digest.
     assert_refused(
         &folder.run(&format!("{record} -n 50 --out c.parquet")),
         2,
@@ -74,7 +77,7 @@ fn a_run_over_the_bus_is_recorded_from_its_folder() {
     let summary = folder.join("live").join("summary.json");
     let text = fs::read_to_string(&summary).expect("a summary");
     let digest = folder
-        .summary("run -p knn -n 12 -k 300 --out again")
+        .summary("run -p knn -n 12 -k 300 --out same-run")
         .digest()
         .to_owned();
     folder.write("live/summary.json", &text.replace(&digest, "0123"));
@@ -124,7 +127,7 @@ mod transformer {
     use reveille_tests::process::{PATIENCE, wait_until};
     use rustix::process::Signal;
 
-    /// Command for a small training.
+    /// Command for a small training on `a.parquet`, long enough for a kill between two checkpoints.
     const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --patience 99 --set policy.dt.width=8 \
         --set policy.dt.heads=1 --set policy.dt.memory=3";
 
@@ -145,11 +148,11 @@ mod transformer {
             "{finished}"
         );
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
-            let before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
+            let checkpoint_before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
             let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
             wait_until("a new checkpoint", PATIENCE, || {
-                let now = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
-                (now != before || folder.join("killed.safetensors").exists()).then_some(())
+                let checkpoint = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
+                (checkpoint != checkpoint_before || folder.join("killed.safetensors").exists()).then_some(())
             });
             training.signal(signal);
             let finished = training.finish();
@@ -160,17 +163,17 @@ mod transformer {
             }
         }
         if !folder.join("killed.safetensors").exists() {
-            let other = folder.run(&format!("{TRAIN} --seed 2 --out killed.safetensors"));
-            assert_refused(&other, 1, &["killed.safetensors.checkpoint", "another training"]);
+            let other_seed = folder.run(&format!("{TRAIN} --seed 2 --out killed.safetensors"));
+            assert_refused(&other_seed, 1, &["killed.safetensors.checkpoint", "another training"]);
             let finished = folder.run(&format!("{TRAIN} --out killed.safetensors"));
             assert!(finished.is_success(), "{finished}");
         }
         assert!(folder.bytes("whole.safetensors") == folder.bytes("killed.safetensors"));
         assert!(!folder.join("killed.safetensors.checkpoint").exists());
         let run = "run -n 12 -k 100 -p dt --set policy.dt.model=";
-        let own = folder.summary(&format!("{run}whole.safetensors --out own"));
+        let trained = folder.summary(&format!("{run}whole.safetensors --out trained"));
         let shipped = folder.summary(&format!("{run}shipped --out shipped"));
-        assert_ne!(own.digest(), shipped.digest());
+        assert_ne!(trained.digest(), shipped.digest());
     }
 
     #[test]
@@ -191,6 +194,7 @@ mod transformer {
             assert_refused(&finished, 1, &[file, part]);
         }
         for (args, part) in [
+            // Two heads by default.
             ("--set policy.dt.width=10", "multiple of 4 times the heads, 8"),
             ("--rate 0", "--rate 0"),
             ("--rate nan", "--rate"),

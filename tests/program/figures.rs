@@ -1,5 +1,8 @@
 //! The commands `figures`, `report` and `report search`: complete pictures and pages, the same bytes from the same
 //! input, and refusals. `study/src/figures/` and `study/src/report/` test the contents.
+//!
+//! A new kind of figure, file or preset changes the numbers of files here, and a new picture of `docs/figures/make.sh`
+//! the list of its test. New versions of result tables and learned tables change the texts with a version.
 
 use std::fs;
 use std::path::Path;
@@ -7,8 +10,8 @@ use std::process::Command;
 
 use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, reveille};
 
-/// Runs a small sweep into the subfolder `name`.
-fn sweep(folder: &TestFolder, name: &str, options: &str) {
+/// Runs a small sweep of 16 runs, if `options` adds no grid, into the subfolder `name`.
+fn run_sweep(folder: &TestFolder, name: &str, options: &str) {
     let finished = folder.run(&format!(
         "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
          --out {name} {options}"
@@ -16,7 +19,7 @@ fn sweep(folder: &TestFolder, name: &str, options: &str) {
     assert_eq!(finished.code(), Some(0), "{finished}");
 }
 
-/// Checks that the folders `a` and `b` hold the same file `name`.
+/// Checks that the folders `a` and `b` hold the same file `name`: each test draws its pictures into both.
 #[track_caller]
 fn assert_same(folder: &TestFolder, name: &str) {
     let [a, b] = ["a", "b"].map(|out| folder.bytes(&format!("{out}/{name}")));
@@ -37,6 +40,7 @@ fn pictures_of_one_run_are_reproducible() {
         }
     }
     let names = folder.list("a");
+    // An SVG and a PNG file for each picture, and the table of the attention.
     assert_eq!(names.len(), 7, "{names:?}");
     for name in names {
         assert_same(&folder, &name);
@@ -140,6 +144,7 @@ fn pictures_of_learned_tables_are_reproducible() {
         assert!(names.contains(&name), "{name} in {names:?}");
     }
     assert!(names.contains(&"q-table-mine-n10-value.csv".to_owned()));
+    // The files of `stems`, and `-value.csv` for each number of devices.
     assert_eq!(names.len(), 17, "{names:?}");
     for name in names {
         assert_same(&folder, &name);
@@ -152,6 +157,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
     let finished = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(finished.code(), Some(0), "{finished}");
     let text = String::from_utf8(folder.bytes("mine.json")).expect("text");
+    // The version after `VERSION` in `bs/src/policy/q_learning/learned/file.rs`.
     folder.write("later.json", &text.replacen("\"version\":3", "\"version\":4", 1));
     folder.write("short.json", &text[..text.len() / 2]);
     folder.write("junk.json", "{\"rows\": []}");
@@ -190,8 +196,8 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
 #[test]
 fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
     let folder = TestFolder::new();
-    sweep(&folder, "paper", "--scenario paper");
-    sweep(&folder, "literal", "--scenario paper-literal");
+    run_sweep(&folder, "paper", "--scenario paper");
+    run_sweep(&folder, "literal", "--scenario paper-literal");
     let tables = "paper/results.parquet literal/results.parquet";
     for out in ["a", "b"] {
         let finished = folder.run(&format!(
@@ -221,6 +227,7 @@ fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
     assert_eq!(html.matches("<svg").count(), 24, "two presets with twelve figures each");
+    // The page loads no files.
     assert!(!html.contains("src=") && html.contains("Not run and left out below") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {
@@ -231,8 +238,8 @@ fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
 #[test]
 fn a_search_judges_every_condition_reproducibly() {
     let folder = TestFolder::new();
-    sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
-    sweep(&folder, "literal", "--scenario paper-literal");
+    run_sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
+    run_sweep(&folder, "literal", "--scenario paper-literal");
     let search = |out: &str| {
         let finished = folder.run(&format!("report search unstated literal --top 1 --out {out}"));
         assert_eq!(finished.code(), Some(0), "{finished}");
@@ -240,6 +247,7 @@ fn a_search_judges_every_condition_reproducibly() {
     };
     let ranking = search("a");
     assert!(
+        // Three values of the grid and one preset, with the 16 runs of `run_sweep` each.
         ranking.contains("4 conditions, 64 runs") && ranking.contains("events.alpha"),
         "{ranking}"
     );
@@ -280,7 +288,7 @@ fn a_search_judges_every_condition_reproducibly() {
 #[test]
 fn a_user_sweep_is_drawn_against_its_field() {
     let folder = TestFolder::new();
-    sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
+    run_sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
     for out in ["a", "b"] {
         let finished = folder.run(&format!(
             "figures sweep mine --x harvest.lambda --y energy_per_device_tti --log x --out {out}"
@@ -292,12 +300,14 @@ fn a_user_sweep_is_drawn_against_its_field() {
         );
     }
     let names = folder.list("a");
+    // SVG, PNG and CSV for each of the two numbers of devices.
     assert_eq!(names.len(), 6, "{names:?}");
     assert!(names.contains(&"sweep-energy_per_device_tti-harvest.lambda-devices-10.svg".to_owned()));
     for name in names {
         assert_same(&folder, &name);
     }
-    // Without `sweep`, the swept value of the preset has the paper's figures, and the field its own.
+    // Without `sweep`, the runs with the preset's value of the field have the paper's figures. The field has figures of
+    // four metrics, for two numbers of devices.
     let finished = folder.run("figures mine --format svg --out d");
     assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("d");
@@ -345,6 +355,7 @@ fn a_picture_replaces_an_earlier_one() {
     let name = folder.list("out").pop().expect("a picture");
     let (picture, old_link) = (folder.join(&format!("out/{name}")), folder.join("before.svg"));
     fs::write(&picture, "before").expect("ours");
+    // A file that is overwritten in place would change under its second name too.
     fs::hard_link(&picture, &old_link).expect("possible");
     assert_eq!(folder.run(command).code(), Some(0));
     assert_eq!(fs::read_to_string(&old_link).expect("there"), "before");
@@ -356,8 +367,8 @@ fn tables_with_equal_file_names_give_separate_pictures() {
     let folder = TestFolder::new();
     folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
     folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
-    sweep(&folder, "a", "--scenario mine.toml");
-    sweep(&folder, "b", "--scenario other.toml");
+    run_sweep(&folder, "a", "--scenario mine.toml");
+    run_sweep(&folder, "b", "--scenario other.toml");
     let finished = folder.run("figures a/results.parquet b/results.parquet --only energy --out out");
     assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("out");
@@ -368,7 +379,7 @@ fn tables_with_equal_file_names_give_separate_pictures() {
 #[test]
 fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     let folder = TestFolder::new();
-    sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
+    run_sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
     let finished = folder.run("report paper/results.csv --out report");
     assert_eq!(finished.code(), Some(0), "{finished}");
     assert!(
@@ -396,14 +407,15 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
         .collect();
     folder.write("empty.csv.toml", &empty_sidecar);
     folder.write("later.csv", &text);
-    let later_sidecar = sidecar.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\"");
+    // The version after `TABLE_VERSION` in `lab/src/table/error.rs`.
+    let later_sidecar = sidecar.replace("\"reveille.table\" = \"4\"", "\"reveille.table\" = \"5\"");
     assert_ne!(later_sidecar, sidecar);
     folder.write("later.csv.toml", &later_sidecar);
     for command in ["figures", "report"] {
         let finished = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&finished, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
         let finished = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&finished, 1, &["later.csv", "version 4"]);
+        assert_refused(&finished, 1, &["later.csv", "version 5"]);
         assert!(!folder.join("out").exists());
     }
 }
@@ -418,7 +430,8 @@ fn the_script_of_the_pages_draws_every_picture() {
         .arg(reveille())
         .arg(folder.join("pictures"))
         .args(["1000", "2"]);
-    // The script makes about three hundred runs, on machines that run other tests at the same time.
+    // The runs have 1000 TTIs, and each point 2 seeds. The script makes about three hundred runs, on machines that run
+    // other tests at the same time.
     let finished = Process::start(&mut command).finish_within(PATIENCE * 5);
     assert_eq!(finished.code(), Some(0), "{finished}");
     for name in [
@@ -431,6 +444,7 @@ fn the_script_of_the_pages_draws_every_picture() {
         "wake-latency",
     ] {
         let text = fs::read_to_string(folder.join(&format!("pictures/{name}.svg"))).expect("a picture");
+        // The script adds a white background before the line `<defs>`, which `study/src/figures/svg.rs` writes.
         assert!(
             text.starts_with("<svg ") && text.contains("fill=\"#fff\"/>\n<defs>"),
             "{name}"
@@ -441,7 +455,7 @@ fn the_script_of_the_pages_draws_every_picture() {
 #[test]
 fn a_table_with_an_impossible_value_is_refused() {
     let folder = TestFolder::new();
-    sweep(&folder, "paper", "--format csv");
+    run_sweep(&folder, "paper", "--format csv");
     let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
     let sidecar = folder.bytes("paper/results.csv.toml");
     let header: Vec<&str> = text.lines().next().expect("a header").split(',').collect();
@@ -452,6 +466,7 @@ fn a_table_with_an_impossible_value_is_refused() {
     for value in ["1e300", "-2e15", "inf"] {
         let rows = text.lines().enumerate().map(|(row, line)| {
             let mut fields: Vec<&str> = line.split(',').collect();
+            // The header is row 0.
             if row == 2 {
                 fields[column] = value;
             }

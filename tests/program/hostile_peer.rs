@@ -1,8 +1,10 @@
 //! Hostile peers: garbage and forged messages of a host that was admitted and knows the run's secret, and requests of
-//! another version or without the run's key. The digest equals the digest of `reveille run`. The base station counts
-//! forged messages to it because of their credential, before it reads their values (`bs/src/server/roster.rs` tests
-//! those); the access rules of `common/src/bus/access.rs` stop forged messages to hosts. `tests/untrusted_clients/` tests
-//! clients without the secret.
+//! another version or without the run's key. The digest equals the digest of `reveille run`.
+//!
+//! The base station drops forged messages to it because of their revoked credential and counts them
+//! (`bs/src/server/subscriptions.rs`), so it never checks their values: `bs/src/server/roster.rs` tests these checks.
+//! The access rules of `common/src/bus/access.rs` stop forged messages to hosts. `tests/untrusted_clients/` tests
+//! clients without the secret. A new kind of message needs an entry in [`forged_messages`].
 
 use std::time::Duration;
 
@@ -30,8 +32,8 @@ async fn connect_peer(endpoint: &str, run: &str) -> Bus {
         .expect("the base station listens")
 }
 
-/// Creates a peer that was admitted, received the run's secret, and left before the run began. It knows all keys, but
-/// its credential is no longer valid.
+/// Creates a peer that was admitted as host 0, received the run's secret, and left before the run began. It knows all
+/// keys, but its credential is no longer valid. Call it before any other host joins.
 async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     let bus = connect_peer(endpoint, run).await;
     let request = JoinRequest {
@@ -53,8 +55,8 @@ async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     (bus, credential)
 }
 
-/// Starts a paused run of 30 devices with two device processes. Returns the base station, the device processes, and the
-/// session and credential of a [`revoked_host`].
+/// Starts a paused run of 30 devices, with a TTI every 3 ms, the run folder `out` and two device processes, hosts 1 and
+/// 2. Returns the base station, the device processes, and the session and credential of a [`revoked_host`].
 async fn start_run_with_revoked_host(
     folder: &TestFolder,
     run: &str,
@@ -118,7 +120,7 @@ fn invalid_payloads() -> Vec<Vec<u8>> {
         vec![255; 64],
         vec![codec::WIRE_VERSION],
         with_version(&[255; 4]),
-        // 253 announces an integer of eight bytes, such as the length of a list: here 2^64 - 1.
+        // In the codec, 253 announces an integer of eight bytes, such as the length of a list: here 2^64 - 1.
         with_version(&[&[0, 0, 253][..], &[255; 8]].concat()),
         with_version(&[0; 200]),
         with_version(&noise),
@@ -135,13 +137,13 @@ async fn invalid_payloads_on_every_key_change_nothing() {
     let keys = bus.key_exprs();
     let mut all_keys: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
     // Devices and hosts that exist and that do not.
-    for j in [0, 7, 29, 30, u32::MAX] {
-        let credential = HostCredential {
-            host: HostId(j),
+    for number in [0, 7, 29, 30, u32::MAX] {
+        let other_host = HostCredential {
+            host: HostId(number),
             ..credential
         };
-        all_keys.push(keys.wake(HostId(1), DeviceId(j)));
-        all_keys.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, credential)));
+        all_keys.push(keys.wake(HostId(1), DeviceId(number)));
+        all_keys.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other_host)));
     }
     all_keys.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all_hosts(kind)));
     all_keys.extend([format!("{}/x/y", keys.base_key(MessageKind::Answer)), keys.tap()]);
@@ -164,9 +166,9 @@ async fn invalid_payloads_on_every_key_change_nothing() {
         }
     }
     bus.close().await;
-    let end = bs.finish();
-    assert!(end.is_success(), "{end}");
-    assert!(!end.stderr.contains("panicked"), "{end}");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert!(!finished.stderr.contains("panicked"), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.malformed_messages") > 0, "{summary:?}");
@@ -181,7 +183,7 @@ async fn invalid_payloads_on_every_key_change_nothing() {
     }
 }
 
-/// Returns clock messages that decode but cannot follow TTI `tti`.
+/// Returns clock messages that decode. While TTI `tti` is open, hosts expect none of them, except the first in TTI 0.
 fn forged_clock(tti: u64) -> [ClockMessage; 5] {
     let grant = |first, last| {
         let stimulus = Some(Stimulus {
@@ -210,7 +212,8 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
     ]
 }
 
-/// Returns messages that decode but that no host would send or receive in TTI `tti`, each with its key.
+/// Returns messages that decode, each with its key: to all hosts or single ones, and from hosts that exist or not, with
+/// possible and impossible values for TTI `tti`.
 fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
     let overlong_cycle = DutyCycle {
         t_on: u32::MAX,
@@ -227,13 +230,13 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
         information,
         battery: Energy::ZERO,
     };
-    let grant_done = |host, reports, drained| HostAnswer::GrantDone {
+    let grant_done = |host, report_count, drained_micro| HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
-        reports,
+        reports: report_count,
         failures: vec![FailedTransmission {
             device: DeviceId(0),
-            drained_energy: Energy::from_micro(drained),
+            drained_energy: Energy::from_micro(drained_micro),
         }],
         unpowered: 0,
         totals: Some(DeviceTotals::default()),
@@ -260,7 +263,7 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
         let wake_up = codec::encode(&WakeUp { tti: Tti(wake_tti) });
         messages.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake_up.clone())));
     }
-    let with_host = |host| HostCredential {
+    let credential_of = |host| HostCredential {
         host: HostId(host),
         ..credential
     };
@@ -271,7 +274,7 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
         (0, report(3, 0.7)),
     ] {
         messages.push((
-            keys.uplink(MessageKind::Report, with_host(host)),
+            keys.uplink(MessageKind::Report, credential_of(host)),
             codec::encode(&report),
         ));
     }
@@ -283,7 +286,7 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
         (0, final_ledgers),
     ] {
         messages.push((
-            keys.uplink(MessageKind::Answer, with_host(host)),
+            keys.uplink(MessageKind::Answer, credential_of(host)),
             codec::encode(&answer),
         ));
     }
@@ -305,9 +308,9 @@ async fn forged_messages_change_nothing() {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     bus.close().await;
-    let end = bs.finish();
-    assert!(end.is_success(), "{end}");
-    assert!(!end.stderr.contains("panicked"), "{end}");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert!(!finished.stderr.contains("panicked"), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.unexpected_messages") > 0, "{summary:?}");
@@ -357,6 +360,6 @@ async fn a_client_without_the_key_cannot_command_or_join() {
     );
     bus.close().await;
     folder.clock(&run, "resume");
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
 }

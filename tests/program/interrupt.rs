@@ -8,10 +8,10 @@ use std::time::Duration;
 use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, hosts_of, unique_run, wait_until};
 use rustix::process::Signal;
 
-/// Options of a scenario whose search before the run takes hours.
+/// Options of a scenario whose search before the run takes hours under policy `adjusted`. `signals.rs` repeats them.
 const HOURS_LONG_SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
-/// Time limit for the end of a command. `deploy/src/signals.rs` ends a command without results after a second; the rest
-/// is a margin for a busy machine.
+/// Time limit for the end of a command. `GRACE` in `deploy/src/signals.rs` ends a command without results after a
+/// second; the rest is a margin for a busy machine.
 const PROMPT_END_LIMIT: Duration = Duration::from_secs(10);
 
 #[test]
@@ -38,6 +38,7 @@ fn a_run_in_preparation_ends_promptly() {
     let folder = TestFolder::new();
     for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
         let run = folder.start(&format!("run --policy adjusted {HOURS_LONG_SEARCH} --out {out}"));
+        // The run creates its folder before the search, with its tables and without rows.
         wait_until("the run to begin", PATIENCE, || {
             folder.join(&format!("{out}/windows.csv")).exists().then_some(())
         });
@@ -107,7 +108,7 @@ fn a_sweep_in_preparation_ends_promptly_and_keeps_finished_runs() {
     assert_eq!(finished.code(), Some(130), "{finished}");
     let message = "reveille: interrupted; the 3 finished runs are kept in s: give the same command again";
     assert!(finished.stderr.contains(message), "{finished}");
-    let again = folder.start(&args);
-    again.wait_for_stderr("3 finished runs found in s");
+    let resumed = folder.start(&args);
+    resumed.wait_for_stderr("3 finished runs found in s");
     // The end of the test kills the sweep: only its start matters.
 }

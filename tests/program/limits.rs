@@ -1,6 +1,7 @@
 //! Limits of open files, ports and disk space: a run works within the limit that an error suggests, and reports an
 //! insufficient one before it begins or with its cause. The expected numbers of files follow from the constants in
-//! `deploy/src/file_limits.rs`.
+//! `deploy/src/file_limits.rs`: 48 of a base station, one more for each device process, 32 of a device process. Tests
+//! with special disks and networks are skipped without root.
 
 use std::fs;
 use std::process::Command;
@@ -11,16 +12,17 @@ use reveille_tests::process::{
     FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, reveille, unique_run,
 };
 
-/// Time limit for a refusal on a busy machine, well below the timeout of thirty seconds for a connection.
+/// Time limit for a refusal on a busy machine, well below the default of `--connect-timeout`, thirty seconds.
 const REFUSAL_LIMIT: Duration = Duration::from_secs(10);
 
 /// Time limit for the restarts of device processes that end immediately, with a margin for a busy machine.
 const RESTART_LIMIT: Duration = Duration::from_secs(20);
 
-/// Starts `reveille ARGS` with these hard and soft limits of open files.
-fn start_limited(folder: &TestFolder, hard: u32, soft: u32, args: &str) -> Process {
+/// Starts `reveille ARGS` with these hard and soft limits of open files. Apart from the limits, its environment is as
+/// in [`TestFolder::command`].
+fn start_limited(folder: &TestFolder, hard_limit: u32, soft_limit: u32, args: &str) -> Process {
     let line = format!(
-        "ulimit -Sn {soft}; ulimit -Hn {hard}; exec {} {args}",
+        "ulimit -Sn {soft_limit}; ulimit -Hn {hard_limit}; exec {} {args}",
         reveille().display()
     );
     let mut command = Command::new("sh");
@@ -32,19 +34,19 @@ fn start_limited(folder: &TestFolder, hard: u32, soft: u32, args: &str) -> Proce
     Process::start(&mut command)
 }
 
-/// Checks that a command is refused under a limit of `files` open files, before it creates a run folder.
-fn assert_files_refused(folder: &TestFolder, files: u32, args: &str, parts: &[&str]) {
-    let finished = start_limited(folder, files, files, args).finish_within(REFUSAL_LIMIT);
+/// Checks that a command is refused under a limit of `file_limit` open files, before it creates a run folder.
+fn assert_refused_at_limit(folder: &TestFolder, file_limit: u32, args: &str, parts: &[&str]) {
+    let finished = start_limited(folder, file_limit, file_limit, args).finish_within(REFUSAL_LIMIT);
     assert_refused(&finished, 1, parts);
-    let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
-    assert_eq!(left, [""; 0], "files of a refused run");
+    let new_files: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
+    assert_eq!(new_files, [""; 0], "files of a refused run");
 }
 
 #[test]
 fn too_few_files_are_refused_before_the_run() {
     let folder = TestFolder::new();
-    let limit_message = |files: u32| format!("may have {files} files open");
-    assert_files_refused(
+    let limit_message = |file_limit: u32| format!("may have {file_limit} files open");
+    assert_refused_at_limit(
         &folder,
         64,
         "up -n 50 -P 50",
@@ -55,11 +57,11 @@ fn too_few_files_are_refused_before_the_run() {
             "at most 16 device processes",
         ],
     );
-    assert_files_refused(&folder, 24, "up -P 4", &[&limit_message(24), "ulimit -n 52"]);
+    assert_refused_at_limit(&folder, 24, "up -P 4", &[&limit_message(24), "ulimit -n 52"]);
     let bs = format!("bs --run x --listen {}", free_endpoint());
-    assert_files_refused(&folder, 24, &bs, &[&limit_message(24), "ulimit -n 49"]);
+    assert_refused_at_limit(&folder, 24, &bs, &[&limit_message(24), "ulimit -n 49"]);
     let device = format!("device --run x --count 1 --connect {}", free_endpoint());
-    assert_files_refused(&folder, 24, &device, &[&limit_message(24), "a device process needs 32"]);
+    assert_refused_at_limit(&folder, 24, &device, &[&limit_message(24), "a device process needs 32"]);
 }
 
 #[test]
@@ -67,12 +69,12 @@ fn the_suggested_file_limit_is_enough() {
     let folder = TestFolder::new();
     let expected = folder.summary("run -n 50 -k 200");
     // The hard limit is as needed and the soft limit is half of it: the run raises its soft limit.
-    for (processes, files) in [(16, 64), (4, 52), (0, 48)] {
+    for (processes, file_limit) in [(16, 64), (4, 52), (0, 48)] {
         let run = unique_run("few");
         let up = start_limited(
             &folder,
-            files,
-            files / 2,
+            file_limit,
+            file_limit / 2,
             &format!("up -n 50 -k 200 -P {processes} --json --run {run} --out {run} --record {run}.mcap"),
         );
         assert_eq!(up.finish().summary().digest(), expected.digest());
@@ -91,20 +93,20 @@ fn the_suggested_file_limit_is_enough() {
     assert_eq!(bs.finish().summary().digest(), expected.digest());
 }
 
-/// Checks a refusal that leaves no run folder `out`, or one that is neither active nor finished.
+/// Checks a refusal that leaves no run folder `disk/out`, or one that is neither active nor finished.
 fn assert_refused_without_run(folder: &TestFolder, finished: &FinishedProcess, parts: &[&str]) {
     assert_refused(finished, 1, parts);
-    let left = folder.list("out");
+    let files = folder.list("disk/out");
     assert!(
-        !left.iter().any(|name| name == "RUNNING" || name == "summary.json"),
-        "{left:?}"
+        !files.iter().any(|name| name == "RUNNING" || name == "summary.json"),
+        "{files:?}"
     );
 }
 
 #[test]
 fn a_lack_of_ports_is_reported_promptly() {
     let folder = TestFolder::new();
-    // One port for the base station, and some for the first device processes.
+    // Four ports: one for the base station, the others for connections of the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
         print_skipped("cannot create a separate network here (root is needed)");
         return;
@@ -149,31 +151,31 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     };
     let expected = folder.summary("run -n 20 -k 400");
     for command in ["run", "up -P 2"] {
-        // The rows do not fit.
-        let long = format!("{command} -n 20 -k 400000 --window 10 --out disk/out --force");
-        let finished = folder.run(&long);
+        // The rows do not fit on the disk of 256 kB.
+        let too_long = format!("{command} -n 20 -k 400000 --window 10 --out disk/out --force");
+        let finished = folder.run(&too_long);
         assert_refused(&finished, 1, &["disk/out", "No space left on device"]);
-        let left = folder.list("disk/out");
+        let files = folder.list("disk/out");
         assert!(
-            left.contains(&"FAILED".to_owned()) && !left.contains(&"RUNNING".to_owned()),
-            "{left:?}"
+            files.contains(&"FAILED".to_owned()) && !files.contains(&"RUNNING".to_owned()),
+            "{files:?}"
         );
-        assert!(!left.contains(&"summary.json".to_owned()), "{left:?}");
+        assert!(!files.contains(&"summary.json".to_owned()), "{files:?}");
         let rows = String::from_utf8(folder.bytes("disk/out/windows.csv")).expect("text");
+        // The rows up to the full disk are kept.
         assert!(rows.lines().count() > 100, "{rows}");
-        // The partial output is replaced.
-        let short = folder.summary(&format!("{command} -n 20 -k 400 --out disk/out --force"));
-        assert_eq!(short.digest(), expected.digest());
+        let replacement = folder.summary(&format!("{command} -n 20 -k 400 --out disk/out --force"));
+        assert_eq!(replacement.digest(), expected.digest());
         assert_eq!(SummaryJson::read(&folder.join("disk/out")).digest(), expected.digest());
     }
     // Without space for the first files, the run leaves nothing that blocks the next run.
     fs::remove_dir_all(folder.join("disk/out")).expect("removable");
     // More than the 256 kB of the disk.
-    let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
-    assert!(full.is_err(), "the disk has more space than requested");
+    let written = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
+    assert!(written.is_err(), "the disk has more space than requested");
     let finished = folder.run("run -n 20 -k 400 --out disk/out");
     assert_refused_without_run(&folder, &finished, &["disk/out", "No space left on device"]);
     fs::remove_file(folder.join("disk/ballast")).expect("removable");
-    let again = folder.summary("run -n 20 -k 400 --out disk/out");
-    assert_eq!(again.digest(), expected.digest());
+    let next_run = folder.summary("run -n 20 -k 400 --out disk/out");
+    assert_eq!(next_run.digest(), expected.digest());
 }

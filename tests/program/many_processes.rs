@@ -1,5 +1,6 @@
 //! Runs in many processes, and in processes with many devices: the digest equals the digest of `reveille run`, and no
-//! process is left. Also the number of zenoh threads in device processes.
+//! process is left. Also the number of zenoh threads in device processes: `deploy/src/child_process.rs` writes the
+//! setting that these tests read from the environment of a process.
 
 use std::fs;
 
@@ -7,9 +8,9 @@ use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, host
 
 /// More processes than are started at a time on any machine with fewer than eight cores (16 per core,
 /// `deploy/src/start_limiter.rs`).
-const MANY: u32 = 120;
-/// Number of devices whose ledgers, from two processes, exceed the queue of a link.
-const HEAVY: u32 = 3000;
+const MANY_PROCESSES: u32 = 120;
+/// Number of devices whose ledgers, from two processes, exceed the queue of a link of zenoh.
+const MANY_DEVICES: u32 = 3000;
 
 /// Checks that `up` with this many processes has the digest of `run`, without warnings or rejected messages.
 fn assert_clean_run(scenario: &str, processes: u32) {
@@ -33,24 +34,24 @@ fn assert_clean_run(scenario: &str, processes: u32) {
 
 #[test]
 fn many_processes_run_one_device_each() {
-    assert_clean_run(&format!("-n {MANY} -k 150"), MANY);
+    assert_clean_run(&format!("-n {MANY_PROCESSES} -k 150"), MANY_PROCESSES);
 }
 
 #[test]
 fn two_processes_run_many_devices_each() {
-    assert_clean_run(&format!("-n {HEAVY} -k 60 -p random"), 2);
+    assert_clean_run(&format!("-n {MANY_DEVICES} -k 60 -p random"), 2);
 }
 
 /// Under `age-index` many devices report an event in the same TTI.
 #[test]
 fn one_process_sends_many_simultaneous_reports() {
     assert_clean_run(
-        &format!("-n {HEAVY} -k 60 -p age-index --set bs.battery_knowledge=reported"),
+        &format!("-n {MANY_DEVICES} -k 60 -p age-index --set bs.battery_knowledge=reported"),
         1,
     );
 }
 
-/// Returns the zenoh thread setting in the environment of a process.
+/// Returns the zenoh thread setting in the environment with which a process was started.
 fn zenoh_setting(pid: u32) -> Option<String> {
     let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
     let variables = environment.split(|&byte| byte == 0).map(String::from_utf8_lossy);
@@ -87,9 +88,9 @@ fn device_processes_have_one_zenoh_thread_by_default() {
             "{setting}"
         );
     }
-    let own_setting = "(rx:(worker_threads:3))";
-    let (_up, settings) = zenoh_settings_of_hosts(&folder, Some(own_setting), "");
-    assert_eq!(settings, [Some(own_setting.to_owned()), Some(own_setting.to_owned())]);
+    let user_setting = "(rx:(worker_threads:3))";
+    let (_up, settings) = zenoh_settings_of_hosts(&folder, Some(user_setting), "");
+    assert_eq!(settings, [Some(user_setting.to_owned()), Some(user_setting.to_owned())]);
     let (_up, settings) = zenoh_settings_of_hosts(&folder, None, "--untuned");
     assert_eq!(settings, [None, None]);
 }
@@ -97,9 +98,11 @@ fn device_processes_have_one_zenoh_thread_by_default() {
 #[test]
 fn a_manually_started_device_process_has_one_zenoh_thread() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("hand"), free_endpoint());
+    // `hosts_of` finds the process only by `--run=RUN` in one argument.
     let mut command = folder.command(&format!("device --run={run} --connect {endpoint}"));
     command.env_remove("ZENOH_RUNTIME");
     let device = Process::start(&mut command);
+    // The program replaces itself by one with the setting in its environment.
     let setting = wait_until("the process to restart", PATIENCE, || zenoh_setting(device.pid()));
     assert!(setting.contains("rx:(handover:app)"), "{setting}");
     assert_eq!(hosts_of(&run), [device.pid()]);

@@ -1,5 +1,6 @@
 //! Policy processes that reply twice, late, with invalid decisions, too much, or for another process. The run reports
-//! it, ends or keeps the plan as configured, and its logged decisions give its digest again.
+//! it, and ends or keeps the plan as configured. A replay of its logged decisions has its digest. The limits that these
+//! tests exceed are constants of `bs/src/server/policy_port/mod.rs`. `policy_port.rs` tests correct processes.
 
 use std::time::Duration;
 
@@ -9,17 +10,18 @@ use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
-use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, run_built_in, send_reply};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer_from, run_built_in, send_reply};
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
 
-/// Last TTI of every run here, whose options [`ExternallyDecidedRun::start`] adds.
+/// Last TTI of every run here: [`ExternallyDecidedRun::start`] adds `-n 30 -k 400`. At least one answer, the plan,
+/// belongs to each TTI.
 const LAST_TTI: u64 = 399;
 
 /// Makes a valid answer invalid.
-type CorruptReply = fn(&mut Value);
-/// Answers a decision request in another way than with the given answer.
-type ReplyAction = fn(&PortRequest, Value);
+type CorruptAnswer = fn(&mut Value);
+/// Replies to a decision request in another way than with the given valid answer.
+type ReplyOtherwise = fn(&PortRequest, Value);
 
 /// An untrusted client answers every request a hundred times, with more bytes than are accepted or invalid JSON.
 #[tokio::test(flavor = "multi_thread")]
@@ -29,6 +31,7 @@ async fn a_flood_of_answers_changes_no_result() {
     let flood = run.bus().await;
     let requests = flood.serve_policy_port().expect("a queryable");
     let flooding = tokio::spawn(async move {
+        // The first is longer than an accepted answer for 30 devices, which has about 6 kB; the second is invalid JSON.
         let (long, short) = (vec![b'['; 300_000], vec![b'['; 500]);
         while let Some(request) = requests.next().await {
             for payload in [&long, &short].into_iter().cycle().take(100) {
@@ -37,7 +40,9 @@ async fn a_flood_of_answers_changes_no_result() {
             let _run_ended = request.reply_error("flooded").is_err();
         }
     });
-    let answer_count = run.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
+    let answer_count = run
+        .decide(Encoding::Cbor, |request| answer_from(&transcript, request))
+        .await;
     flooding.abort();
     let (_, finished) = run.finish();
     assert!(
@@ -45,19 +50,20 @@ async fn a_flood_of_answers_changes_no_result() {
         "{answer_count}: {finished}"
     );
     assert_eq!(finished.summary().digest(), digest);
+    // At most `MAX_WARNINGS` of 20, and the usual notes.
     assert!(finished.stderr.lines().count() < 40, "{finished}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_repeated_answer_counts_once() {
     let run = ExternallyDecidedRun::start("-P 2");
-    let rogue = MisbehavingPolicy::at(&run).await;
+    let rogue = MisbehavingPolicy::connect(&run).await;
     rogue
-        .serve(|port_request, asked| {
+        .serve(|port_request, request| {
             for _ in 0..2 {
-                send_reply(port_request, &rogue.idle_answer(asked));
+                send_reply(port_request, &rogue.idle_answer(request));
             }
-            asked["tti"] != LAST_TTI
+            request["tti"] != LAST_TTI
         })
         .await;
     let (_, finished) = run.finish();
@@ -70,7 +76,7 @@ async fn a_repeated_answer_counts_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn invalid_answers_end_the_run_or_are_dropped() {
-    let invalid_answers: [(&str, CorruptReply); 6] = [
+    let invalid_answers: [(&str, CorruptAnswer); 6] = [
         ("no device 30", |answer| answer["sense"] = json!([30])),
         ("one of", |answer| answer["action"] = json!([0])),
         ("unknown field", |answer| answer["senses"] = json!([1])),
@@ -80,19 +86,20 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
     ];
     for (why, corrupt) in invalid_answers {
         let run = ExternallyDecidedRun::start("-P 0");
-        let rogue = MisbehavingPolicy::at(&run).await;
+        let rogue = MisbehavingPolicy::connect(&run).await;
         let mut refusals_received = 0;
         rogue
-            .serve(|port_request, asked| {
-                let mut answer = rogue.idle_answer(asked);
+            .serve(|port_request, request| {
+                let mut answer = rogue.idle_answer(request);
                 corrupt(&mut answer);
                 send_reply(port_request, &answer);
-                refusals_received += u32::from(asked["refused"].is_string());
+                refusals_received += u32::from(request["refused"].is_string());
                 true
             })
             .await;
         let (_, finished) = run.finish();
         assert_eq!(finished.code(), Some(1), "{finished}");
+        // `MAX_INVALID_ANSWERS`.
         assert!(
             finished.stderr.contains("3 invalid answers") && finished.stderr.contains(why),
             "{finished}"
@@ -101,7 +108,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         assert_eq!(refusals_received, 2, "reasons that the policy received");
     }
     // Any client could have sent these answers, so they must not count as invalid and end the run.
-    let unattributed: [(&str, ReplyAction); 3] = [
+    let unattributed: [(&str, ReplyOtherwise); 3] = [
         ("dropped an answer", |port_request, _| {
             port_request.reply(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
@@ -113,12 +120,12 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
             port_request.reply_error("no time").expect("answered");
         }),
     ];
-    for (why, act) in unattributed {
+    for (why, reply_otherwise) in unattributed {
         let run = ExternallyDecidedRun::start("-P 0 --decision-timeout 1s");
-        let rogue = MisbehavingPolicy::at(&run).await;
+        let rogue = MisbehavingPolicy::connect(&run).await;
         rogue
-            .serve(|port_request, asked| {
-                act(port_request, rogue.idle_answer(asked));
+            .serve(|port_request, request| {
+                reply_otherwise(port_request, rogue.idle_answer(request));
                 true
             })
             .await;
@@ -134,16 +141,16 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         );
     }
     let run = ExternallyDecidedRun::start("-P 2 --on-undecided hold");
-    let rogue = MisbehavingPolicy::at(&run).await;
+    let rogue = MisbehavingPolicy::connect(&run).await;
     rogue
-        .serve(|port_request, asked| {
-            let mut answer = rogue.idle_answer(asked);
-            if asked["tti"] == 50 {
+        .serve(|port_request, request| {
+            let mut answer = rogue.idle_answer(request);
+            if request["tti"] == 50 {
                 // The next plan must begin after this TTI.
                 answer["next"] = json!(3);
             }
             send_reply(port_request, &answer);
-            asked["tti"] != LAST_TTI
+            request["tti"] != LAST_TTI
         })
         .await;
     let (folder, finished) = run.finish();
@@ -161,20 +168,20 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_late_answer_does_not_count_for_another_request() {
     let run = ExternallyDecidedRun::start("-P 2 --decision-timeout 300ms --on-undecided hold");
-    let rogue = MisbehavingPolicy::at(&run).await;
+    let rogue = MisbehavingPolicy::connect(&run).await;
     let mut has_slept = false;
     rogue
-        .serve(|port_request, asked| {
-            if asked["tti"] == 60 && !has_slept {
+        .serve(|port_request, request| {
+            if request["tti"] == 60 && !has_slept {
                 has_slept = true;
                 // Three times the decision timeout.
                 std::thread::sleep(Duration::from_millis(900));
             }
             // The query of a late answer has timed out, so its reply may fail.
             let _timed_out = port_request
-                .reply(rogue.idle_answer(asked).to_string().into_bytes(), Encoding::Json)
+                .reply(rogue.idle_answer(request).to_string().into_bytes(), Encoding::Json)
                 .is_err();
-            asked["tti"] != LAST_TTI
+            request["tti"] != LAST_TTI
         })
         .await;
     let (folder, finished) = run.finish();
@@ -210,19 +217,19 @@ async fn a_policy_process_with_a_wrong_key_cannot_decide() {
     assert!(refused.contains("does not show the run's key"), "{refused}");
     // A forger answers requests to another process. They contain the id of that process.
     let forged_id = std::sync::Mutex::new(String::new());
-    let forger = Bus::connect(&run.endpoint, run.run.parse().expect("a name"), PATIENCE)
+    let forger = Bus::connect(&run.endpoint, run.name.parse().expect("a name"), PATIENCE)
         .await
         .expect("it listens");
     let requests = forger.serve_policy_port().expect("a queryable");
     let forging = async {
         while let Some(request) = requests.next().await {
-            let Ok(asked) = request.encoding.decode::<DecisionRequest>(&request.payload) else {
+            let Ok(decision_request) = request.encoding.decode::<DecisionRequest>(&request.payload) else {
                 continue;
             };
-            forged_id.lock().expect("one thread").clone_from(&asked.to);
+            forged_id.lock().expect("one thread").clone_from(&decision_request.to);
             let forged = DecisionReply {
                 wake: Some(Vec::new()),
-                ..DecisionReply::for_request(&asked.head, &asked.to, "")
+                ..DecisionReply::for_request(&decision_request.head, &decision_request.to, "")
             };
             let _run_ended = request
                 .reply(request.encoding.encode(&forged), request.encoding)
@@ -230,7 +237,9 @@ async fn a_policy_process_with_a_wrong_key_cannot_decide() {
         }
     };
     tokio::select! {
-        answer_count = run.decide(Encoding::Json, |asked| answer(&transcript, asked)) => assert!(answer_count >= 400),
+        answer_count = run.decide(Encoding::Json, |request| answer_from(&transcript, request)) => {
+            assert!(answer_count >= 400);
+        }
         () = forging => panic!("the forger's session has ended"),
     }
     assert!(

@@ -1,13 +1,14 @@
 //! `inspect misses` and `figures misses` on the folders of runs: their numbers equal an independent count of
-//! `events.csv` and the totals of `summary.json`.
+//! `events.csv` and the totals of `summary.json`. One test removes the last columns of `events.csv` by their number, so
+//! it depends on the order of `EVENT_COLUMNS` in `deploy/src/run_tables.rs`.
 
 use std::collections::BTreeMap;
 
 use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 use serde_json::Value;
 
-/// Returns the counted missed events of a run folder: cause, place and start.
-fn count_missed(folder: &TestFolder, run: &str) -> Vec<(String, f64, f64, u64)> {
+/// Returns the missed events of a run folder, without the warm-up: cause, x and y in metres, and start TTI.
+fn missed_events(folder: &TestFolder, run: &str) -> Vec<(String, f64, f64, u64)> {
     let text = String::from_utf8(folder.bytes(&format!("{run}/events.csv"))).expect("text");
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
@@ -23,27 +24,27 @@ fn count_missed(folder: &TestFolder, run: &str) -> Vec<(String, f64, f64, u64)> 
         .collect()
 }
 
-/// Returns the JSON report of a run folder.
-fn report(folder: &TestFolder, run: &str) -> Value {
+/// Runs `inspect misses --json` on a run folder and returns the report.
+fn misses_report(folder: &TestFolder, run: &str) -> Value {
     let finished = folder.run(&format!("inspect misses {run} --json"));
     assert!(finished.is_success(), "{finished}");
     serde_json::from_str(&finished.stdout).expect("a report is JSON")
 }
 
 /// Returns the sum of all numbers in a nested list.
-fn sum(value: &Value) -> u64 {
+fn sum_nested(value: &Value) -> u64 {
     value.as_array().map_or_else(
         || value.as_u64().expect("a number"),
-        |items| items.iter().map(sum).sum(),
+        |items| items.iter().map(sum_nested).sum(),
     )
 }
 
 #[test]
 fn the_report_equals_a_count_of_the_table_and_the_summary() {
     let folder = TestFolder::new();
-    let run = "run --quiet -n 20 -k 3000 --policy random --set radio.uplink_loss=0.3 --out r";
-    assert!(folder.run(run).is_success());
-    let (report, missed) = (report(&folder, "r"), count_missed(&folder, "r"));
+    let command = "run --quiet -n 20 -k 3000 --policy random --set radio.uplink_loss=0.3 --out r";
+    assert!(folder.run(command).is_success());
+    let (report, missed) = (misses_report(&folder, "r"), missed_events(&folder, "r"));
     let summary: Value = serde_json::from_slice(&folder.bytes("r/summary.json")).expect("a summary");
     assert!(missed.len() > 50, "{} missed events", missed.len());
     assert_eq!(report["missed"], missed.len());
@@ -59,8 +60,11 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
         assert_eq!(summary["totals"]["missed"][cause], *count, "{cause}");
     }
     let map = &report["map"];
-    assert_eq!((sum(&map["missed"]), sum(&map["devices"])), (missed.len() as u64, 20));
-    // The area has 20 m × 20 m and cells of 2 m; 2700 measured TTIs make ten bins.
+    assert_eq!(
+        (sum_nested(&map["missed"]), sum_nested(&map["devices"])),
+        (missed.len() as u64, 20)
+    );
+    // The area has 20 m × 20 m and cells of 2 m; the 2700 TTIs after the warm-up make ten bins.
     let north_east = missed.iter().filter(|(_, x, y, _)| *x >= 18.0 && *y >= 18.0).count();
     assert_eq!(map["missed"][9][9], north_east, "{map}");
     let in_first_bin = missed.iter().filter(|(.., start)| (300..570).contains(start)).count();
@@ -70,9 +74,9 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
     );
 
     let finished = folder.run("inspect misses r");
-    let shown = format!("{} of {} events missed", missed.len(), report["events"]);
+    let missed_line = format!("{} of {} events missed", missed.len(), report["events"]);
     for part in [
-        &shown,
+        &missed_line,
         "\n  - lower radio.uplink_loss\n",
         "lost",
         "Causes over time",
@@ -101,7 +105,7 @@ fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
         finished.is_success() && finished.stdout.contains("\n0 of ") && finished.stdout.lines().count() == 2,
         "{finished}"
     );
-    assert_eq!(report(&folder, "g")["advice"], Value::Null);
+    assert_eq!(misses_report(&folder, "g")["advice"], Value::Null);
 
     assert!(
         folder
@@ -109,23 +113,30 @@ fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
             .is_success()
     );
     let text = String::from_utf8(folder.bytes("r/events.csv")).expect("text");
-    let without = |columns: usize| {
+    let without_last = |columns: usize| {
         let cut = |line: &str| line.rsplitn(columns + 1, ',').last().unwrap_or_default().to_owned() + "\n";
         text.lines().map(cut).collect::<String>()
     };
-    let whole = report(&folder, "r");
-    folder.write("r/events.csv", &without(3));
-    let older = report(&folder, "r");
-    assert_eq!(older["causes"], serde_json::json!({ "unknown": whole["missed"] }));
+    let with_causes = misses_report(&folder, "r");
+    // Run folders of earlier versions have no causes and no nearest devices.
+    folder.write("r/events.csv", &without_last(3));
+    let without_causes = misses_report(&folder, "r");
     assert_eq!(
-        (&older["map"], &older["missed_in_warm_up"]),
-        (&whole["map"], &whole["missed_in_warm_up"])
+        without_causes["causes"],
+        serde_json::json!({ "unknown": with_causes["missed"] })
+    );
+    assert_eq!(
+        (&without_causes["map"], &without_causes["missed_in_warm_up"]),
+        (&with_causes["map"], &with_causes["missed_in_warm_up"])
     );
     assert!(
-        older["advice"].as_str().is_some_and(|text| text.contains("no causes")),
-        "{older}"
+        without_causes["advice"]
+            .as_str()
+            .is_some_and(|text| text.contains("no causes")),
+        "{without_causes}"
     );
-    folder.write("r/events.csv", &without(8));
+    // `reports` is the first of the last eight columns.
+    folder.write("r/events.csv", &without_last(8));
     assert_refused(&folder.run("inspect misses r"), 1, &["events.csv", "no column reports"]);
     folder.write("r/events.csv", &text.replace("asleep", "tired"));
     assert_refused(
@@ -152,7 +163,10 @@ fn an_active_run_is_reported_so_far() {
     assert!(finished.stderr.contains("out: the run is still active"), "{finished}");
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());
-    assert_eq!(report(&folder, "out")["missed"], count_missed(&folder, "out").len());
+    assert_eq!(
+        misses_report(&folder, "out")["missed"],
+        missed_events(&folder, "out").len()
+    );
 }
 
 #[test]
@@ -169,14 +183,14 @@ fn a_table_without_the_columns_is_refused_also_without_rows() {
 fn the_actions_of_a_run_are_named() {
     let folder = TestFolder::new();
     folder.write("a.txt", "1200 fail 0-9\n2500 revive 0-9\n");
-    let run = "run --quiet -n 20 -k 3000 --policy random --actions a.txt --out r";
-    assert!(folder.run(run).is_success());
-    let later = count_missed(&folder, "r")
+    let command = "run --quiet -n 20 -k 3000 --policy random --actions a.txt --out r";
+    assert!(folder.run(command).is_success());
+    let missed_after_action = missed_events(&folder, "r")
         .iter()
         .filter(|(.., start)| *start >= 1200)
         .count();
-    let report = report(&folder, "r");
-    assert_eq!(report["missed_after_first_action"], later);
+    let report = misses_report(&folder, "r");
+    assert_eq!(report["missed_after_first_action"], missed_after_action);
     assert_eq!(
         report["first_actions"],
         serde_json::json!(["TTI 1200 fail 0-9", "TTI 2500 revive 0-9"])
@@ -186,5 +200,5 @@ fn the_actions_of_a_run_are_named() {
         text.contains("2 actions: TTI 1200 fail 0-9, TTI 2500 revive 0-9"),
         "{text}"
     );
-    assert!(text.contains(&format!("{later} of the missed")), "{text}");
+    assert!(text.contains(&format!("{missed_after_action} of the missed")), "{text}");
 }

@@ -1,8 +1,9 @@
-//! Prometheus metrics (`--metrics`) of `run` and `up`: neither they nor a recording change the digest, the only output
-//! under `--quiet`. Batteries are those at the time of the request. On a loopback address, requests under another host
-//! name are refused (421, against DNS rebinding), and `/` leads to `/metrics` (307). An unusable address is refused
-//! before the run. The address comes from the note `http://ADDRESS/metrics` on standard error. `tests/monitoring/`
-//! reads the metrics with Prometheus.
+//! Prometheus metrics (`--metrics`) of `run` and `up`: neither metrics nor a recording change the digest. Batteries
+//! have their values at the time of the request. On a loopback address, requests under another host name are refused
+//! (421, against DNS rebinding), and `/` redirects to `/metrics` (307). An unusable address is refused before the run.
+//!
+//! The tests take the address from the note `http://ADDRESS/metrics` on standard error, and read metrics by their names
+//! in `view/src/metrics.rs`. `tests/monitoring/` reads the metrics with Prometheus.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -10,7 +11,7 @@ use std::net::{TcpListener, TcpStream};
 use reveille_tests::process::{Process, TestFolder, assert_refused, unique_run};
 use rustix::process::Signal;
 
-/// Requests `path` from `address` with `Host: host_header`, and returns the answer.
+/// Requests `path` from `address` with `Host: host_header`, and returns the answer, from its status line to its body.
 fn get(address: &str, path: &str, host_header: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("a link");
     write!(
@@ -26,6 +27,7 @@ fn get(address: &str, path: &str, host_header: &str) -> String {
 #[test]
 fn metrics_and_recording_do_not_change_the_digest() {
     let folder = TestFolder::new();
+    // Under `--quiet`, the digest is the whole output.
     let plain = folder.run("run -p knn -n 30 -k 600 --quiet --out a");
     assert!(plain.is_success(), "{plain}");
     for (index, command) in ["run", "up -P 2", "up -P 0 --no-lookahead"].into_iter().enumerate() {
@@ -62,8 +64,8 @@ fn a_loopback_address_refuses_requests_under_other_host_names() {
 fn metrics_address(process: &Process) -> String {
     process.wait_for_stderr("/metrics");
     let stderr = process.stderr();
-    let rest = stderr.split("http://").nth(1).expect("an address");
-    rest.split('/').next().expect("a first part").to_owned()
+    let from_address = stderr.split("http://").nth(1).expect("an address");
+    from_address.split('/').next().expect("a first part").to_owned()
 }
 
 /// Requests the metrics, and returns the next TTI and the mean battery level.
@@ -90,6 +92,7 @@ fn batteries_are_those_at_the_time_of_the_request() {
          --metrics 127.0.0.1:0"
     ));
     let address = metrics_address(&up);
+    // A TTI that the run has reached.
     let mut reached = 1;
     for _ in 0..3 {
         folder.wait_for_tti(&run, reached);

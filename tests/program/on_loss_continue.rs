@@ -1,5 +1,6 @@
 //! `up --on-loss continue`: a killed device process becomes a logged removal of its devices. The audit is complete, and
-//! `run --input-log` reproduces the digest and tables, also after a resume.
+//! `run --input-log` reproduces the digest and tables, also after a resume. The paces make the runs long enough for the
+//! kills, each some TTIs after the one before, and for resume marks, which are a second apart.
 
 use reveille_tests::process::{PATIENCE, SummaryJson, TestFolder, hosts_of, send_signal, unique_run, wait_until};
 use rustix::process::Signal;
@@ -7,18 +8,18 @@ use rustix::process::Signal;
 #[test]
 fn a_run_with_removed_devices_can_be_repeated() {
     let (folder, run) = (TestFolder::new(), unique_run("outage"));
-    // Sums are requested in every TTI, and for some TTIs only part of them arrives.
+    // With windows of one TTI, sums are requested in every TTI, and for some TTIs only part of them arrives.
     let scenario = "-n 24 -k 900 -p knn --window 1";
     let undisturbed = folder.summary(&format!("run {scenario}"));
     let up = folder.start(&format!(
         "up {scenario} -P 4 --pace 4ms --on-loss continue --audit on --out out --record out.mcap --run {run} --json"
     ));
-    for remaining in [3, 2] {
+    for remaining_hosts in [3, 2] {
         let tti = folder.wait_for_tti(&run, 10);
         let hosts = hosts_of(&run);
         send_signal(hosts[1], Signal::KILL);
         wait_until("the process to end", PATIENCE, || {
-            (hosts_of(&run).len() == remaining).then_some(())
+            (hosts_of(&run).len() == remaining_hosts).then_some(())
         });
         folder.wait_for_tti(&run, tti + 60);
     }
@@ -40,12 +41,12 @@ fn a_run_with_removed_devices_can_be_repeated() {
         "two removals of 24 / 4 devices: {log}"
     );
 
-    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
-    assert_eq!(again.digest(), summary.digest());
-    assert_eq!(read("again/inputs.log"), log, "the input log of the repeated run");
+    let repeated = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out repeated"));
+    assert_eq!(repeated.digest(), summary.digest());
+    assert_eq!(read("repeated/inputs.log"), log, "the input log of the repeated run");
     for table in ["events.csv", "devices.csv", "windows.csv"] {
         assert_eq!(
-            read(&format!("again/{table}")),
+            read(&format!("repeated/{table}")),
             read(&format!("out/{table}")),
             "{table}"
         );
@@ -96,8 +97,8 @@ fn a_killed_run_with_removed_devices_resumes() {
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
-    let again = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
-    assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
+    let repeated = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
+    assert_eq!((summary.digest(), summary.status()), (repeated.digest(), "complete"));
     let removed_pct = summary.metric("removed_pct");
     assert!(removed_pct > 0.0 && removed_pct < 100.0, "{removed_pct} %");
 }

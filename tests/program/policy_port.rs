@@ -1,6 +1,7 @@
-//! External decisions over the bus: a policy process that repeats the decisions of a built-in policy gives its digest,
-//! also with killed processes, a resume and late observers. Runs without a policy process, and policy commands.
-//! `misbehaving_policy.rs` tests invalid replies.
+//! External decisions over the bus: a run whose policy process repeats the decisions of a built-in policy has the
+//! digest of that policy, also with killed processes, a resume and late observers. Runs without a policy process,
+//! policy commands, and refused options. `misbehaving_policy.rs` tests invalid replies. Runs have the 30 devices and
+//! 400 TTIs of [`SHORT_RUN`], unless a test states others.
 
 use std::time::Duration;
 
@@ -14,8 +15,8 @@ use reveille_common::io::Disk;
 use reveille_common::message::InputLogPart;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{Override, load};
-use reveille_lab::external_inputs::{ExternalInput, first_line, line};
-use reveille_tests::external_policy::{ExternallyDecidedRun, MAY_WAKE, SHORT_RUN, answer, run_built_in};
+use reveille_lab::external_inputs::{ExternalInput, first_line, input_line};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MAY_WAKE, SHORT_RUN, answer_from, run_built_in};
 use reveille_tests::process::{
     PATIENCE, Process, SummaryJson, TestFolder, hosts_of, is_alive, send_signal, unique_run, wait_until,
 };
@@ -34,10 +35,10 @@ async fn external_decisions_of_a_policy_give_its_digest() {
     ];
     for (policy, fields, encoding, mode) in cases {
         let (transcript, digest) = run_built_in(policy, fields);
-        let set: Vec<String> = fields.iter().map(|field| format!(" --set {field}")).collect();
-        let set = set.concat();
-        let run = ExternallyDecidedRun::start(&format!("{mode} --audit on{set}"));
-        let answer_count = run.decide(encoding, |asked| answer(&transcript, asked)).await;
+        let set_options: Vec<String> = fields.iter().map(|field| format!(" --set {field}")).collect();
+        let set_options = set_options.concat();
+        let run = ExternallyDecidedRun::start(&format!("{mode} --audit on{set_options}"));
+        let answer_count = run.decide(encoding, |request| answer_from(&transcript, request)).await;
         let (folder, finished) = run.finish();
         assert!(finished.is_success(), "{policy}: {finished}");
         let summary = finished.summary();
@@ -58,12 +59,12 @@ async fn external_decisions_of_a_policy_give_its_digest() {
         for command in [
             format!("run {replay}"),
             format!("run {replay} --no-lookahead"),
-            format!("run {SHORT_RUN}{set} {replay}"),
+            format!("run {SHORT_RUN}{set_options} {replay}"),
             format!("up -P 2 {replay}"),
         ] {
-            let again = folder.summary(&command);
+            let replayed = folder.summary(&command);
             assert_eq!(
-                (again.digest(), again.status()),
+                (replayed.digest(), replayed.status()),
                 (&*digest, "complete"),
                 "{policy}: {command}"
             );
@@ -81,19 +82,19 @@ async fn killed_policy_and_device_processes_do_not_change_the_digest() {
         run_key: Some(key),
         encoding: Encoding::Cbor,
     };
-    // The first policy process stops at an arbitrary point midway.
+    // The first policy process stops at an arbitrary point midway: the run takes at least 1.6 s.
     let (bus, first_identity) = (run.bus().await, identity("the first"));
-    let mut first_policy = |asked: &DecisionRequest| answer(&transcript, asked);
+    let mut first_policy = |request: &DecisionRequest| answer_from(&transcript, request);
     let first_client = client::serve_decisions(&bus, &first_identity, &mut first_policy);
     let stopped = tokio::time::timeout(Duration::from_millis(700), first_client).await;
     assert!(stopped.is_err(), "the run ended within 700 ms");
     bus.close().await;
-    let killed_host = hosts_of(&run.run)[1];
-    run.decide(Encoding::Json, |asked| {
-        if asked.head.tti == 350 {
+    let killed_host = hosts_of(&run.name)[1];
+    run.decide(Encoding::Json, |request| {
+        if request.head.tti == 350 {
             send_signal(killed_host, Signal::KILL);
         }
-        answer(&transcript, asked)
+        answer_from(&transcript, request)
     })
     .await;
     let (_, finished) = run.finish();
@@ -109,28 +110,32 @@ async fn killed_policy_and_device_processes_do_not_change_the_digest() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_resumed_base_station_requests_only_new_decisions() {
     let (transcript, digest) = run_built_in("q-learning", &[]);
+    // The kill comes after more than 2 s, and resume marks are a second apart.
     let run = ExternallyDecidedRun::start("-P 2 --pace 8ms");
     let answers_before = run
-        .decide(Encoding::Cbor, |asked| {
-            if asked.head.tti == 300 {
+        .decide(Encoding::Cbor, |request| {
+            if request.head.tti == 300 {
                 send_signal(run.process.pid(), Signal::KILL);
             }
-            answer(&transcript, asked)
+            answer_from(&transcript, request)
         })
         .await;
     let (folder, _) = run.finish();
     assert!(folder.join("out/resume.json").is_file(), "no resume mark");
-    let lines = String::from_utf8(folder.bytes("out/inputs.log"))
+    let line_count = String::from_utf8(folder.bytes("out/inputs.log"))
         .expect("text")
         .lines()
         .count() as u64;
-    assert!(lines >= answers_before, "{lines} lines after {answers_before} answers");
+    assert!(
+        line_count >= answers_before,
+        "{line_count} lines after {answers_before} answers"
+    );
     let resumed = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on");
     let mut first_seq = None;
     resumed
-        .decide(Encoding::Cbor, |asked| {
-            first_seq.get_or_insert(asked.head.seq);
-            answer(&transcript, asked)
+        .decide(Encoding::Cbor, |request| {
+            first_seq.get_or_insert(request.head.seq);
+            answer_from(&transcript, request)
         })
         .await;
     let (folder, finished) = resumed.finish();
@@ -150,24 +155,26 @@ async fn a_resumed_base_station_requests_only_new_decisions() {
 async fn a_late_recording_is_complete() {
     let (transcript, digest) = run_built_in("age-index", &["bs.sync_interval=1000"]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
-    let mut late = None;
-    run.decide(Encoding::Json, |asked| {
-        if asked.head.tti == 150 && late.is_none() {
-            let record = run.folder.start(&format!("inspect record late.mcap --run {}", run.run));
+    let mut late_recorder = None;
+    run.decide(Encoding::Json, |request| {
+        if request.head.tti == 150 && late_recorder.is_none() {
+            let recorder = run
+                .folder
+                .start(&format!("inspect record late.mcap --run {}", run.name));
             // Virtual time stops until the request is answered.
-            record.wait_for_stderr("connected to run");
-            late = Some(record);
+            recorder.wait_for_stderr("connected to run");
+            late_recorder = Some(recorder);
         }
-        answer(&transcript, asked)
+        answer_from(&transcript, request)
     })
     .await;
-    let recorded = late.expect("a request in TTI 150").finish();
+    let recorded = late_recorder.expect("a request in TTI 150").finish();
     assert!(recorded.is_success(), "{recorded}");
     let (folder, finished) = run.finish();
     assert!(finished.is_success(), "{finished}");
     assert_eq!(finished.summary().digest(), digest);
-    let same = folder.run("compare --exit-code whole.mcap late.mcap");
-    assert!(same.is_success(), "{same}");
+    let compared = folder.run("compare --exit-code whole.mcap late.mcap");
+    assert!(compared.is_success(), "{compared}");
     let verified = folder.run("inspect verify whole.mcap");
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
 }
@@ -176,12 +183,12 @@ async fn a_late_recording_is_complete() {
 #[test]
 fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
     let (folder, run) = (TestFolder::new(), unique_run("long"));
-    let set = ["policy.name=external", "devices=1000", "ttis=240"];
-    let set = set.map(|set| Override::parse(set).expect("an override"));
-    let scenario = load("paper", &set, &outside::kinds_with_external(), &Disk)
+    let fields = ["policy.name=external", "devices=1000", "ttis=240"];
+    let overrides = fields.map(|field| Override::parse(field).expect("an override"));
+    let scenario = load("paper", &overrides, &outside::kinds_with_external(), &Disk)
         .expect("a scenario")
         .scenario;
-    // No device ever senses, and the different offsets make the log long.
+    // No device ever senses, and the different offsets make the log long: the factor is an arbitrary large number.
     let sleeping = |offset: u64| DutyCycle {
         t_on: 0,
         t_drx: DutyCycle::MAX_T_DRX,
@@ -191,24 +198,25 @@ fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
         let cycles = (0..1000).map(|j| sleeping((k * 1000 + j) * 7_919_777)).collect();
         let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
         let decision = Decision::Plan(PlanDecision { plan, next });
-        line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), decision }))
+        input_line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), decision }))
     });
     let log = first_line(&scenario) + &plans.collect::<String>();
     assert!(log.len() as u64 > InputLogPart::MAX_BYTES, "{} bytes", log.len());
     folder.write("long.log", &log);
+    // The options repeat `fields`: the first line of the log names the scenario.
     let up = folder.start(&format!(
         "up -n 1000 -k 240 -P 1 -p replay=long.log --paused --record whole.mcap --run {run} --quiet --out out"
     ));
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "step 200");
     folder.wait_for_tti(&run, 200);
-    let late = folder.start(&format!("inspect record late.mcap --run {run}"));
-    late.wait_for_stderr("connected to run");
+    let late_recorder = folder.start(&format!("inspect record late.mcap --run {run}"));
+    late_recorder.wait_for_stderr("connected to run");
     folder.clock(&run, "resume");
-    let (up, late) = (up.finish(), late.finish());
-    assert!(up.is_success() && late.is_success(), "{up}\n{late}");
-    let same = folder.run("compare --exit-code whole.mcap late.mcap");
-    assert!(same.is_success(), "{same}");
+    let (up, late_recorder) = (up.finish(), late_recorder.finish());
+    assert!(up.is_success() && late_recorder.is_success(), "{up}\n{late_recorder}");
+    let compared = folder.run("compare --exit-code whole.mcap late.mcap");
+    assert!(compared.is_success(), "{compared}");
 }
 
 /// The base station is killed in a TTI with lost devices and undecided wake-ups.
@@ -217,46 +225,48 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
     let (transcript, _) = run_built_in("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 3 --pace 4ms --on-loss continue");
     let (bs_pid, mut kill_tti) = (run.process.pid(), None);
-    let name = run.run.clone();
-    run.decide(Encoding::Cbor, |asked| {
-        let (tti, is_wake) = (asked.head.tti, asked.head.stage == RequestKind::Wake);
+    let run_name = run.name.clone();
+    run.decide(Encoding::Cbor, |request| {
+        let (tti, is_wake) = (request.head.tti, request.head.stage == RequestKind::Wake);
         if is_wake && tti > 100 && kill_tti.is_none() {
             kill_tti = Some(tti);
-            send_signal(hosts_of(&name)[0], Signal::KILL);
+            send_signal(hosts_of(&run_name)[0], Signal::KILL);
             wait_until("the process to end", PATIENCE, || {
-                (hosts_of(&name).len() == 2).then_some(())
+                (hosts_of(&run_name).len() == 2).then_some(())
             });
             // The base station needs a moment to notice the loss, which must precede the decision.
             std::thread::sleep(Duration::from_millis(300));
             // The last device belongs to another host, so that another request follows.
-            let device = asked
+            let last_sleeper = request
                 .action_mask
                 .0
                 .iter()
                 .rposition(|&entry| entry == MAY_WAKE)
                 .expect("a device sleeps");
-            return Decision::Wake(vec![DeviceId(device as u32)]);
+            return Decision::Wake(vec![DeviceId(last_sleeper as u32)]);
         }
         if kill_tti.is_some() {
             send_signal(bs_pid, Signal::KILL);
         }
-        answer(&transcript, asked)
+        answer_from(&transcript, request)
     })
     .await;
     let (folder, _) = run.finish();
     let resumed = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
-    resumed.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
+    resumed
+        .decide(Encoding::Cbor, |request| answer_from(&transcript, request))
+        .await;
     let (folder, finished) = resumed.finish();
     assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     let replayed = folder.summary("run --policy replay=out");
     assert_eq!((summary.digest(), summary.status()), (replayed.digest(), "complete"));
 
-    // A replay of a truncated log ends with an error. Each number of lines ends the log before the lost devices. The
-    // first line names the scenario, so 2 lines leave a single decision.
+    // A replay of a truncated log ends with an error. Each number of lines ends the log before the lost devices, since
+    // every TTI up to 100 has a plan. The first line names the scenario, so 2 lines leave a single decision.
     let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
-    for lines in [2, 60, 101] {
-        let cut_lines: Vec<&str> = log.lines().take(lines).chain([""]).collect();
+    for line_count in [2, 60, 101] {
+        let cut_lines: Vec<&str> = log.lines().take(line_count).chain([""]).collect();
         folder.write("cut.log", &cut_lines.join("\n"));
         for command in ["run", "up -P 1"] {
             let scenario = "--scenario out/scenario.toml --policy replay=cut.log";
@@ -321,10 +331,10 @@ fn a_policy_command_and_its_run_end_together() {
         "{finished}"
     );
     // A silent policy command ends with the run.
-    let (run, policy) = start_with_silent_policy(&folder, "sleeps", "exec sleep 1000");
-    run.signal(Signal::INT);
-    assert_eq!(run.finish().code(), Some(130));
-    assert!(!is_alive(policy), "process {policy} is still alive");
+    let (up, policy_pid) = start_with_silent_policy(&folder, "sleeps", "exec sleep 1000");
+    up.signal(Signal::INT);
+    assert_eq!(up.finish().code(), Some(130));
+    assert!(!is_alive(policy_pid), "process {policy_pid} is still alive");
 }
 
 /// Neither a policy command that ignores signals nor its children outlive a killed base station.
@@ -333,17 +343,18 @@ fn a_policy_command_does_not_outlive_its_base_station() {
     let folder = TestFolder::new();
     let stubborn = "trap '' TERM INT HUP; sleep 1000 & echo $! > child; wait";
     for (name, signal) in [("killed", Signal::KILL), ("interrupted", Signal::INT)] {
-        let (run, policy) = start_with_silent_policy(&folder, name, stubborn);
-        let child = read_pid(&folder, "child");
-        assert!(is_alive(policy) && is_alive(child));
-        run.signal(signal);
+        let (up, policy_pid) = start_with_silent_policy(&folder, name, stubborn);
+        let child_pid = read_pid(&folder, "child");
+        assert!(is_alive(policy_pid) && is_alive(child_pid));
+        up.signal(signal);
         if signal == Signal::INT {
-            run.wait_for_stderr("interrupted");
-            run.signal(signal);
+            // The second signal ends `up` immediately.
+            up.wait_for_stderr("interrupted");
+            up.signal(signal);
         }
-        assert!(!run.finish().is_success());
+        assert!(!up.finish().is_success());
         wait_until("the command and its child to end", PATIENCE, || {
-            (!is_alive(policy) && !is_alive(child)).then_some(())
+            (!is_alive(policy_pid) && !is_alive(child_pid)).then_some(())
         });
     }
 }
@@ -357,28 +368,29 @@ fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
         "trap 'sleep 0.4; echo done > saved; exit' TERM\necho $$ > child\nwhile :; do sleep 0.05; done\n",
     );
     let command = format!("sh {} | cat", script.display());
-    let (run, policy) = start_with_silent_policy(&folder, "piped", &command);
-    let child = read_pid(&folder, "child");
-    run.signal(Signal::KILL);
-    run.finish();
+    let (up, policy_pid) = start_with_silent_policy(&folder, "piped", &command);
+    let child_pid = read_pid(&folder, "child");
+    up.signal(Signal::KILL);
+    up.finish();
     wait_until("the command and its child to end", PATIENCE, || {
-        (!is_alive(policy) && !is_alive(child)).then_some(())
+        (!is_alive(policy_pid) && !is_alive(child_pid)).then_some(())
     });
     assert!(folder.list("").contains(&"saved".to_owned()));
 }
 
-/// Starts a run with a policy command that never decides; returns the run and the command's pid.
+/// Starts the run `name` with a policy command that never decides, and waits for the handlers of `up`. Returns `up` and
+/// the pid of the command's shell, which the command writes to the file `pid`.
 fn start_with_silent_policy(folder: &TestFolder, name: &str, command: &str) -> (Process, u32) {
     // A file of an earlier run would be read before the new one is written.
     for file in ["pid", "child"] {
         let _missing = std::fs::remove_file(folder.join(file)).is_err();
     }
-    let mut up = folder.command(&format!("up {SHORT_RUN} -p external -P 2 --out {name} --run {name}"));
-    up.args(["--policy-command", &format!("echo $$ > pid; {command}")]);
-    let run = Process::start(&mut up);
-    let policy = read_pid(folder, "pid");
-    run.wait_for_handlers();
-    (run, policy)
+    let mut command_line = folder.command(&format!("up {SHORT_RUN} -p external -P 2 --out {name} --run {name}"));
+    command_line.args(["--policy-command", &format!("echo $$ > pid; {command}")]);
+    let up = Process::start(&mut command_line);
+    let policy_pid = read_pid(folder, "pid");
+    up.wait_for_handlers();
+    (up, policy_pid)
 }
 
 /// Reads the pid that a command has written to a file.

@@ -12,10 +12,12 @@ use reveille_tests::process::{
 };
 use rustix::process::Signal;
 
-/// Options of a run that would take a minute, so that faults occur midway.
+/// Options of a run that would take a minute, so that faults occur midway. Base stations and hosts of the tests need
+/// its 30 devices.
 const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 
-/// Time limit to detect a killed device process: two seconds, doubled for a busy machine.
+/// Time limit to detect a killed device process: its link closes immediately, and the rest is a margin for a busy
+/// machine.
 const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 
 /// Time limit to detect a frozen device process: the lease of a link, two seconds (`common/src/bus/session.rs`), and a
@@ -42,15 +44,16 @@ fn assert_lost(finished: &FinishedProcess, since: Instant, limit: Duration) {
     assert!(elapsed < limit, "detected only after {elapsed:?}");
 }
 
-/// Waits until no device process of `run` is left.
+/// Checks that all device processes of `run` end, and waits for it.
 fn assert_no_process_left(run: &str) {
     wait_until("the device processes to end", PATIENCE, || {
         hosts_of(run).is_empty().then_some(())
     });
 }
 
-/// Starts `up` with four device processes, and waits past its first TTIs.
-fn up_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, Vec<u32>) {
+/// Starts `up` with four device processes, and waits past its first TTIs. Returns the process and the ids of the device
+/// processes.
+fn start_up_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, Vec<u32>) {
     let up = folder.start(&format!("up -P 4 --out out --run {run} {args}"));
     folder.wait_for_tti(run, 10);
     let hosts = hosts_of(run);
@@ -61,7 +64,7 @@ fn up_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, Vec<u32>)
 #[test]
 fn a_killed_device_process_ends_up() {
     let (folder, run) = (TestFolder::new(), unique_run("kill"));
-    let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let (up, hosts) = start_up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[2], Signal::KILL);
     let finished = up.finish();
@@ -73,13 +76,17 @@ fn a_killed_device_process_ends_up() {
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
     for message in [&why, &finished.stderr] {
-        let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
-        assert!(message.contains(&pid) && !message.contains("--on-loss"), "{message}");
+        let pid_text = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
+        assert!(
+            message.contains(&pid_text) && !message.contains("--on-loss"),
+            "{message}"
+        );
     }
 }
 
-/// Starts a base station and two device processes separately, and waits past the first TTIs.
-fn by_hand_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Process; 2]) {
+/// Starts a base station and two device processes separately, and waits past the first TTIs. They run devices 0 to 9
+/// and 10 to 29, so `args` must state 30 devices.
+fn start_bs_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Process; 2]) {
     let endpoint = free_endpoint();
     let bs = folder.start(&format!("bs --out out --run {run} --listen {endpoint} {args}"));
     bs.wait_for_stderr("waiting for 30 devices");
@@ -97,7 +104,7 @@ fn by_hand_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Pro
 #[test]
 fn a_killed_device_process_ends_bs_and_is_named() {
     let (folder, run) = (TestFolder::new(), unique_run("killbs"));
-    let (bs, [host_0, host_1]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let (bs, [host_0, host_1]) = start_bs_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     host_0.signal(Signal::KILL);
     let finished = bs.finish();
@@ -111,7 +118,7 @@ fn a_killed_device_process_ends_bs_and_is_named() {
 #[test]
 fn a_frozen_device_process_is_lost_after_its_lease() {
     let (folder, run) = (TestFolder::new(), unique_run("freeze"));
-    let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let (up, hosts) = start_up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[1], Signal::STOP);
     let finished = up.finish();
@@ -120,12 +127,13 @@ fn a_frozen_device_process_is_lost_after_its_lease() {
     assert_no_process_left(&run);
 }
 
-/// Freezes a device process for longer than its lease, lets it continue, and checks the digest.
+/// Freezes a device process for longer than its lease, lets it continue, and checks the digest. `scenario` holds
+/// options of a run that takes at least some seconds at 5 ms per TTI.
 fn check_thawed_process(scenario: &str) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("thaw");
-    let (up, hosts) = up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
+    let (up, hosts) = start_up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
     send_signal(hosts[1], Signal::STOP);
     up.wait_for_stderr("the run is waiting");
     let waiting_tti = folder.wait_for_tti(&run, 0);
@@ -169,7 +177,7 @@ impl Drop for ProcessReaper {
 #[test]
 fn no_device_process_outlives_a_killed_up() {
     let (folder, run) = (TestFolder::new(), unique_run("orphans"));
-    let (up, hosts) = up_mid_run(&folder, &run, LONG);
+    let (up, hosts) = start_up_mid_run(&folder, &run, LONG);
     let _reaper = ProcessReaper(run.clone());
     // A frozen process cannot exit: the kernel has to kill it.
     send_signal(hosts[0], Signal::STOP);
@@ -188,10 +196,10 @@ fn no_device_process_outlives_a_killed_up() {
 fn check_interrupted_run(command: &str, signal: Signal) {
     let (folder, run) = (TestFolder::new(), unique_run("interrupt"));
     let (process, hosts) = if command == "bs" {
-        let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
+        let (bs, hosts) = start_bs_mid_run(&folder, &run, LONG);
         (bs, hosts.into_iter().collect())
     } else {
-        (up_mid_run(&folder, &run, LONG).0, Vec::new())
+        (start_up_mid_run(&folder, &run, LONG).0, Vec::new())
     };
     process.signal(signal);
     let finished = process.finish();
@@ -236,7 +244,7 @@ fn sigint_ends_bs_with_partial_results() {
 #[test]
 fn a_paused_run_can_be_interrupted() {
     let (folder, run) = (TestFolder::new(), unique_run("partial"));
-    let (up, _) = up_mid_run(&folder, &run, LONG);
+    let (up, _) = start_up_mid_run(&folder, &run, LONG);
     folder.clock(&run, "pause");
     let tti = folder.wait_for_tti(&run, 10);
     up.signal(Signal::INT);
@@ -264,7 +272,7 @@ fn a_base_station_that_waits_for_devices_can_be_interrupted() {
 #[test]
 fn device_processes_of_a_killed_base_station_end() {
     let (folder, run) = (TestFolder::new(), unique_run("headless"));
-    let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
+    let (bs, hosts) = start_bs_mid_run(&folder, &run, LONG);
     bs.signal(Signal::KILL);
     bs.finish();
     for host in hosts {
@@ -277,7 +285,8 @@ fn device_processes_of_a_killed_base_station_end() {
     }
 }
 
-/// A broken link can lose a grant and the plan before it, so both are retransmitted in order.
+/// A broken link can lose a grant and the plan before it, so both are retransmitted in order. This test is the host,
+/// and never answers.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_unanswered_grant_is_repeated_with_its_plan() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("silent"), free_endpoint());
@@ -298,7 +307,7 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
     let credentials = assignment.credentials;
     let credential = credentials.credential;
     let bus = bus.with_secret(credentials.secret);
-    let (grant_sender, messages) = std::sync::mpsc::channel();
+    let (grant_sender, received_kinds) = std::sync::mpsc::channel();
     let plan_sender = grant_sender.clone();
     let _plan = bus
         .subscribe(credential.host, move |_: PlanUpdate| {
@@ -320,7 +329,7 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
         .expect("a reply");
     assert_eq!(is_accepted, Some(true));
     let order: Vec<&str> = (0..4)
-        .map(|_| messages.recv_timeout(PATIENCE).expect("the BS retransmits"))
+        .map(|_| received_kinds.recv_timeout(PATIENCE).expect("the BS retransmits"))
         .collect();
     assert_eq!(order, ["plan", "grant", "plan", "grant"]);
     drop(bs);

@@ -1,5 +1,6 @@
 //! Compares the metrics of runs with `tests/recompute/recompute.py`, which computes them from the tables of the run
-//! folder and shares no code with the program.
+//! folder and shares no code with the program. A new metric needs its formula there. The script prints `metrics are the
+//! same` for each folder that agrees.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +8,8 @@ use std::process::Command;
 use reveille_tests::machine::skip_except_in_ci;
 use reveille_tests::process::TestFolder;
 
-/// Returns the options of the runs: all policies, then depleted devices, few events, bursts and a run without warm-up.
+/// Returns the options of the runs: all policies, then scarce energy, few events, bursts and a run without warm-up. The
+/// script does not support radio faults.
 fn run_options() -> Vec<String> {
     let policies = reveille_bs::policy::registry::names();
     let all_policies = policies.map(|policy| format!("-p {policy} -n 30 -k 1500"));
@@ -33,9 +35,9 @@ fn metrics_equal_a_recomputation_from_the_tables() {
     let all_options = run_options();
     let mut recompute = Command::new("python3");
     recompute.arg(script);
-    for (number, args) in all_options.iter().enumerate() {
-        let finished = folder.run(&format!("run {args} --quiet --out run{number}"));
-        assert!(finished.is_success(), "{args}: {finished}");
+    for (number, options) in all_options.iter().enumerate() {
+        let finished = folder.run(&format!("run {options} --quiet --out run{number}"));
+        assert!(finished.is_success(), "{options}: {finished}");
         recompute.arg(folder.join(&format!("run{number}")));
     }
     let output = recompute.output().expect("python3 starts");

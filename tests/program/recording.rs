@@ -1,6 +1,7 @@
 //! Recordings (`--record`, `inspect record`) of runs in memory and over the bus, complete and truncated: `inspect
-//! verify` reconstructs the digest, `tail` filters and `stats` counts as computed here. `tests/recordings/` reads
-//! recordings with other programs.
+//! verify` reconstructs the digest, `tail` filters and `stats` counts as computed here, and `export` writes every
+//! message. JSON keys are from `view/src/frame_line.rs` and `deploy/src/commands/inspect/stats.rs`. `tests/recordings/`
+//! reads recordings and exports with other programs.
 
 use std::fs;
 use std::time::Duration;
@@ -20,7 +21,7 @@ fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
         .collect()
 }
 
-/// Counts the messages that `tail` shows for a truncated recording.
+/// Counts the messages that `tail` shows for a truncated recording, and checks that it fails.
 fn count_in_truncated(folder: &TestFolder, file: &str) -> usize {
     let finished = folder.run(&format!("inspect tail --json {file}"));
     assert_eq!(finished.code(), Some(1), "{finished}");
@@ -43,7 +44,7 @@ fn a_long_run_is_verified() {
 #[test]
 fn memory_and_bus_record_the_same_messages() {
     assert_same_recordings("-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet");
-    // Also with lost messages, which the recordings contain.
+    // Also with radio faults: the recordings contain lost messages too.
     assert_same_recordings(
         "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
          --set radio.uplink_loss=0.3 --set radio.false_wake_up=0.02 --set radio.plan_loss=0.3 \
@@ -52,10 +53,10 @@ fn memory_and_bus_record_the_same_messages() {
 }
 
 /// Checks that `run` and `up` with these options record the same `air` and `truth` messages, and that their recordings
-/// can be verified.
+/// can be verified. The options contain `--quiet`, so that the output is the digest.
 fn assert_same_recordings(options: &str) {
     let folder = TestFolder::new();
-    let mut digests = Vec::new();
+    let mut printed_digests = Vec::new();
     for (name, command) in [
         ("memory", "run"),
         ("bus", "up -P 3"),
@@ -63,14 +64,14 @@ fn assert_same_recordings(options: &str) {
     ] {
         let finished = folder.run(&format!("{command} {options} --record {name}.mcap --out {name}"));
         assert!(finished.is_success(), "{finished}");
-        digests.push(finished.stdout);
+        printed_digests.push(finished.stdout);
         let finished = folder.run(&format!("inspect verify {name}.mcap"));
         assert!(
             finished.is_success() && finished.stdout.contains("as in the summary"),
             "{finished}"
         );
     }
-    assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
+    assert!(printed_digests.windows(2).all(|pair| pair[0] == pair[1]));
     for plane in ["air", "truth"] {
         let shown = |name: &str| shown_messages(&folder, &format!("{name}.mcap --plane {plane}"));
         let [memory, bus] = ["memory", "bus"].map(shown);
@@ -96,9 +97,9 @@ fn tail_filters_messages_and_pairs_wake_ups() {
     let finished = folder
         .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
     assert!(finished.is_success(), "{finished}");
-    let all = shown_messages(&folder, "r.mcap");
+    let all_messages = shown_messages(&folder, "r.mcap");
     let assert_filtered = |args: &str, passes: &dyn Fn(&Value) -> bool| {
-        let expected: Vec<Value> = all.iter().filter(|line| passes(line)).cloned().collect();
+        let expected: Vec<Value> = all_messages.iter().filter(|line| passes(line)).cloned().collect();
         assert!(
             !expected.is_empty() && shown_messages(&folder, &format!("r.mcap {args}")) == expected,
             "{args}"
@@ -107,42 +108,48 @@ fn tail_filters_messages_and_pairs_wake_ups() {
     let tti = |line: &Value| line["tti"].as_u64().expect("a TTI");
     assert_filtered("--since 100 --until 199", &|line| (100..200).contains(&tti(line)));
     assert_filtered("--kind report", &|line| line["kind"] == "report");
-    let reporter = all.iter().find(|line| line["kind"] == "report").expect("a report")["number"].clone();
+    let reporter = all_messages
+        .iter()
+        .find(|line| line["kind"] == "report")
+        .expect("a report")["number"]
+        .clone();
     assert_filtered(&format!("--kind report --device {reporter}"), &|line| {
         line["kind"] == "report" && line["number"] == reporter
     });
-    assert_eq!(shown_messages(&folder, "r.mcap -c 7"), all[..7]);
-    let wakes = all.iter().filter(|line| line["kind"] == "wake").count();
+    assert_eq!(shown_messages(&folder, "r.mcap -c 7"), all_messages[..7]);
+    let wake_up_count = all_messages.iter().filter(|line| line["kind"] == "wake").count();
     let paired = shown_messages(&folder, "r.mcap --pair-wake-ups --kind wake");
-    assert_eq!(paired.len(), wakes);
+    assert_eq!(paired.len(), wake_up_count);
     assert!(paired.iter().all(|line| !line["message"]["outcome"].is_null()));
-    // Exactly the unpowered devices do not receive wake-ups.
-    let missed = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Missed";
+    // Without radio faults, exactly the unpowered devices do not receive wake-ups. A line of kind `woken` has the
+    // outcome.
+    let is_missed_wake_up = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Missed";
     let unpowered = shown_messages(&folder, "r.mcap --state unpowered --kind wake");
-    assert_eq!(unpowered.len(), all.iter().filter(missed).count());
+    assert_eq!(unpowered.len(), all_messages.iter().filter(is_missed_wake_up).count());
     // A device that is woken was asleep before, and its line shows the outcome.
     assert_eq!(
         shown_messages(&folder, "r.mcap --pair-wake-ups --state S4 --kind wake"),
         paired
     );
     // Every device is in exactly one cluster, so all clusters together have all reports. The refusal counts them.
-    let clusters = folder.run("inspect tail r.mcap --cluster 999");
-    assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
-    let cluster_count: usize = clusters
+    let refusal = folder.run("inspect tail r.mcap --cluster 999");
+    assert_refused(&refusal, 1, &["--cluster 999", "clusters, 0 to"]);
+    let cluster_count: usize = refusal
         .stderr
         .split("the run has ")
         .nth(1)
-        .and_then(|rest| rest.split(' ').next()?.parse().ok())
+        .and_then(|from_count| from_count.split(' ').next()?.parse().ok())
         .expect("a number");
     let reports_in =
         |cluster: usize| shown_messages(&folder, &format!("r.mcap --kind report --cluster {cluster}")).len();
-    let report_count = all.iter().filter(|line| line["kind"] == "report").count();
+    let report_count = all_messages.iter().filter(|line| line["kind"] == "report").count();
     assert_eq!((0..cluster_count).map(reports_in).sum::<usize>(), report_count);
 }
 
 #[test]
 fn statistics_equal_the_summary() {
     let folder = TestFolder::new();
+    // Statistics count all TTIs, totals of a summary only TTIs after the warm-up.
     let finished = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
     let summary: Value = serde_json::from_str(&finished.stdout).unwrap_or_else(|_| panic!("{finished}"));
     let finished = folder.run("inspect stats r.mcap --json --devices");
@@ -167,6 +174,7 @@ fn a_killed_run_leaves_a_readable_recording() {
     let up = folder.start(&format!(
         "up -P 1 -n 30 -k 100000 --run {run} --record r.mcap --quiet --out o"
     ));
+    // Late enough for complete chunks of the recording on disk.
     folder.wait_for_tti(&run, 3000);
     up.signal(Signal::KILL);
     up.finish();
@@ -203,8 +211,8 @@ fn invalid_recordings_are_refused() {
             .run("run -n 10 -k 200 --record r.mcap --quiet --out o")
             .is_success()
     );
-    let again = folder.run("run -n 10 -k 200 --record r.mcap --quiet --out p");
-    assert_refused(&again, 1, &["--record r.mcap", "file exists"]);
+    let second = folder.run("run -n 10 -k 200 --record r.mcap --quiet --out p");
+    assert_refused(&second, 1, &["--record r.mcap", "file exists"]);
     assert_refused(&folder.run("run -n 10 --record-states 5 --quiet"), 2, &["--record"]);
     assert_refused(
         &folder.run("run -n 10 --record nowhere/r.mcap --quiet --out q"),
@@ -226,7 +234,8 @@ fn invalid_recordings_are_refused() {
             "{finished}"
         );
     }
-    // The readable part is exported in full. An existing file is replaced only when the new one is complete.
+    // The loop has exported `cut.mcap` to `cut.csv`. The readable part is exported in full. An existing file is
+    // replaced only when the new one is complete.
     let rows = String::from_utf8_lossy(&folder.bytes("cut.csv")).lines().count();
     assert_eq!(rows, 1 + count_in_truncated(&folder, "cut.mcap"));
     let finished = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
@@ -256,7 +265,7 @@ fn observers_that_join_early_and_late_record_the_same_run() {
     let (folder, run) = (TestFolder::new(), unique_run("observed"));
     let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
     folder.wait_for_tti(&run, 0);
-    let start = |file: &str| {
+    let start_recorder = |file: &str| {
         let record = folder.start(&format!("inspect record {file} --run {run}"));
         record.wait_for_stderr("connected to run");
         // Lets the subscriptions of the observer reach the base station.
@@ -264,9 +273,9 @@ fn observers_that_join_early_and_late_record_the_same_run() {
         record
     };
     // The second observer computes the state before it joined from the scenario.
-    let early = start("early.mcap");
+    let early = start_recorder("early.mcap");
     folder.clock(&run, "run-to 137 --wait");
-    let late = start("late.mcap");
+    let late = start_recorder("late.mcap");
     folder.clock(&run, "resume");
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");

@@ -1,5 +1,6 @@
 //! The registry of runs on this machine, a folder below `XDG_RUNTIME_DIR`: its entries are private, and it is trusted
-//! only if no other user can write to it.
+//! only if no other user can write to it. The tests repeat the name of the folder and the fields of an entry from
+//! `deploy/src/run_registry.rs`.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
@@ -14,7 +15,7 @@ const REGISTRY: &str = "runtime/reveille";
 const NOBODY: u32 = 65_534;
 
 /// Returns the permissions of an entry in the folder.
-fn mode(folder: &TestFolder, name: &str) -> u32 {
+fn permissions_of(folder: &TestFolder, name: &str) -> u32 {
     let metadata = fs::symlink_metadata(folder.join(name)).expect("there");
     metadata.permissions().mode() & 0o777
 }
@@ -36,15 +37,15 @@ fn entries_are_private() {
     let entry = wait_until("the run to be registered", PATIENCE, || {
         folder.list(REGISTRY).first().cloned()
     });
-    assert_eq!(mode(&folder, REGISTRY), 0o700);
-    assert_eq!(mode(&folder, &format!("{REGISTRY}/{entry}")), 0o600);
+    assert_eq!(permissions_of(&folder, REGISTRY), 0o700);
+    assert_eq!(permissions_of(&folder, &format!("{REGISTRY}/{entry}")), 0o600);
     bs.wait_for_handlers();
     bs.signal(Signal::INT);
     assert_eq!(bs.finish().code(), Some(130));
 }
 
 /// Checks that `clock` and `inspect` refuse the registry because of `why`, and that a run warns, continues and does not
-/// write to it.
+/// write to it. If the registry is a folder, it holds a valid entry meanwhile.
 fn assert_not_trusted(folder: &TestFolder, why: &str) {
     let (run, endpoint) = (unique_run("untrusted"), free_endpoint());
     // An entry of a live process: this one.
@@ -61,13 +62,13 @@ fn assert_not_trusted(folder: &TestFolder, why: &str) {
         let finished = folder.run(&format!("{command} --run {run}"));
         assert_refused(&finished, 1, &[REGISTRY, why, "XDG_RUNTIME_DIR", "--connect"]);
     }
-    let before = folder.list(REGISTRY);
+    let entries_before = folder.list(REGISTRY);
     let up = folder.run(&format!("up -P 1 -n 5 -k 100 --quiet --run {run} --out {run}"));
     assert!(up.is_success(), "{up}");
     for part in [REGISTRY, why, "cannot find this run"] {
         assert!(up.stderr.contains(part), "no {part:?}: {up}");
     }
-    assert_eq!(folder.list(REGISTRY), before);
+    assert_eq!(folder.list(REGISTRY), entries_before);
     if is_folder {
         fs::remove_file(folder.join(&entry_path)).expect("ours");
     }
@@ -77,8 +78,8 @@ fn assert_not_trusted(folder: &TestFolder, why: &str) {
 fn a_registry_open_to_others_is_not_trusted() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
-    for mode in [0o755, 0o770, 0o1777] {
-        fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(mode)).expect("ours");
+    for permissions in [0o755, 0o770, 0o1777] {
+        fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(permissions)).expect("ours");
         assert_not_trusted(&folder, "chmod 700");
     }
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
@@ -118,10 +119,14 @@ fn a_registry_of_another_user_is_not_trusted() {
 #[test]
 fn a_relative_runtime_folder_is_not_used() {
     let (folder, run) = (TestFolder::new(), unique_run("relative"));
+    // The run uses the folder `reveille-UID` for temporary files instead.
     let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
     command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());
     let finished = Process::start(&mut command).finish();
     assert!(finished.is_success(), "{finished}");
     assert!(!folder.join(REGISTRY).exists());
-    assert_eq!(mode(&folder, &format!("reveille-{}", getuid().as_raw())), 0o700);
+    assert_eq!(
+        permissions_of(&folder, &format!("reveille-{}", getuid().as_raw())),
+        0o700
+    );
 }

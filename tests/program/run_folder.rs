@@ -1,17 +1,19 @@
-//! A run folder keeps the files of its scenario: it can be moved, and run again with the same digest after the original
-//! files are removed.
+//! A run folder keeps the files of its scenario in `scenario-files`: it can be moved, and run again with the same
+//! digest after the original files are removed. `deploy/src/scenario_files.rs` chooses the names of the copies.
 
 use std::fs;
 
 use reveille_tests::process::{SummaryJson, TestFolder};
 
-/// Writes the scenario `my.toml`, whose layout, traces and tables are files, two of them with the same name.
+/// Writes the scenario `my.toml`, whose layout, traces and tables are files, two of them with the same name. Its
+/// classes `a` and `b` read the traces in the folders `a` and `b`.
 fn write_scenario_with_files(folder: &TestFolder) {
     for name in ["a", "b"] {
         fs::create_dir(folder.join(name)).expect("a folder");
     }
     folder.write("a/energy.csv", "sun\n2\n0\n1\n");
     folder.write("b/energy.csv", "sun\n0\n3\n");
+    // Eight places within the area of 20 m × 20 m, one for each device.
     let points = [2, 3, 4, 5, 6, 7, 8, 9]
         .map(|i| format!("{},{}\n", 2 * i - 2, i + 1))
         .concat();
@@ -47,19 +49,19 @@ fn a_moved_run_folder_can_be_run_again() {
     }
     fs::create_dir(folder.join("elsewhere")).expect("a folder");
     fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
-    let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
-    assert_eq!(again.digest(), first.digest());
+    let repeated = folder.summary("run -s elsewhere/moved/scenario.toml --out repeated");
+    assert_eq!(repeated.digest(), first.digest());
     // In the run folder itself: the run replaces the files that it reads.
     let in_place = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
     assert_eq!(in_place.digest(), first.digest());
     assert_eq!(folder.list("elsewhere/moved/scenario-files").len(), 4);
     // A run without files replaces a run with files.
-    let plain = folder.summary("run -n 5 -k 50 --out again --force");
+    let plain = folder.summary("run -n 5 -k 50 --out repeated --force");
     assert_ne!(plain.digest(), first.digest());
-    assert!(!folder.join("again/scenario-files").exists());
+    assert!(!folder.join("repeated/scenario-files").exists());
 }
 
-/// The trace is a column of a result table.
+/// The trace is a column of a result table, a metric of eight runs.
 #[test]
 fn a_run_folder_keeps_models_and_parquet_traces() {
     let folder = TestFolder::new();
@@ -83,11 +85,11 @@ fn a_run_folder_keeps_models_and_parquet_traces() {
     }
     fs::create_dir(folder.join("elsewhere")).expect("a folder");
     fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
-    let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
-    assert_eq!(again.digest(), first.digest());
+    let repeated = folder.summary("run -s elsewhere/moved/scenario.toml --out repeated");
+    assert_eq!(repeated.digest(), first.digest());
     let scenario_hash = |name: &str| {
         let summary = SummaryJson::read(&folder.join(name));
         summary.text("scenario_hash").to_owned()
     };
-    assert_eq!(scenario_hash("again"), scenario_hash("elsewhere/moved"));
+    assert_eq!(scenario_hash("repeated"), scenario_hash("elsewhere/moved"));
 }

@@ -1,6 +1,8 @@
 //! SIGINT or SIGTERM at drawn moments of the long-running commands, with all cores busy: the command ends with its
-//! documented code and leaves no process, registry entry or mark of an active run. `interrupt.rs` tests preparations
-//! with chosen moments.
+//! documented code and leaves no process, registry entry or file RUNNING. `interrupt.rs` tests preparations with chosen
+//! moments. A new long-running command needs a [`Case`].
+//!
+//! `.ci/run` selects the tests behind cargo features by the words `tun` and `transformer` in their names.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -29,7 +31,7 @@ const SPINNING_THREADS: usize = 3;
 const MARK_VARIABLE: &str = "REVEILLE_TEST_MARK";
 /// Options of a run over the bus that takes an hour.
 const LONG: &str = "-n 6 -k 1000000 --pace 4ms";
-/// Options of a search before a run that takes hours.
+/// Options of a search before a run that takes hours; `interrupt.rs` repeats them.
 const SEARCH: &str = "-p adjusted -n 200 --set policy.adjusted.pilot_ttis=900000000";
 /// Output that a command prints after it has installed its handlers. If the program prints another text, the check of
 /// these texts is vacuous.
@@ -47,17 +49,19 @@ enum Ending {
 }
 use Ending::{ByDefault, Interrupted, Shown};
 
-/// Command under test; OUT stands for a name that no other process uses.
+/// Command under test.
 struct Case {
+    /// Arguments, in which OUT becomes a name that no other process uses. A command with `--resume` continues a copy of
+    /// the run folder `resumed`, which the test has to prepare.
     args: String,
-    ending: Ending,
+    expected: Ending,
 }
 
 impl Case {
-    fn new(args: impl Into<String>, ending: Ending) -> Self {
+    fn new(args: impl Into<String>, expected: Ending) -> Self {
         Self {
             args: args.into(),
-            ending,
+            expected,
         }
     }
 }
@@ -66,15 +70,15 @@ impl Case {
 /// shell. Such a process has no default action before it installs its handlers.
 fn ignores_interrupts() -> bool {
     let status = fs::read_to_string("/proc/self/status").expect("a status");
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = u64::from_str_radix(mask.expect("a mask").trim(), 16).expect("hexadecimal");
-    mask >> (Signal::INT.as_raw() - 1) & 1 == 1
+    let ignored_hex = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored_signals = u64::from_str_radix(ignored_hex.expect("a mask").trim(), 16).expect("hexadecimal");
+    ignored_signals >> (Signal::INT.as_raw() - 1) & 1 == 1
 }
 
 /// Sends [`SIGNALS_PER_COMMAND`] signals to each of the `cases`, and prints how often each command ended in which way.
 fn check_signals(folder: &TestFolder, cases: &[Case]) {
-    let (is_over, next) = (AtomicBool::new(false), AtomicUsize::new(0));
-    let (is_over, next) = (&is_over, &next);
+    let (is_over, next_number) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let (is_over, next_number) = (&is_over, &next_number);
     let can_interrupt = !ignores_interrupts();
     let statuses = Mutex::new(BTreeMap::<(&str, String), usize>::new());
     thread::scope(|scope| {
@@ -86,7 +90,7 @@ fn check_signals(folder: &TestFolder, cases: &[Case]) {
             });
         }
         let work = || {
-            while let number = next.fetch_add(1, Ordering::Relaxed)
+            while let number = next_number.fetch_add(1, Ordering::Relaxed)
                 && number < SIGNALS_PER_COMMAND * cases.len()
             {
                 let (round, case) = (number / cases.len(), &cases[number % cases.len()]);
@@ -118,7 +122,7 @@ fn check_signal(folder: &TestFolder, case: &Case, number: usize, signal: Signal)
     let out = format!("out{number}");
     let is_resumed = case.args.contains("--resume");
     if is_resumed {
-        copy(folder, "resumed", &out);
+        copy_folder(folder, "resumed", &out);
     }
     let mut command = folder.command(&case.args.replace("OUT", &out));
     let mark = folder.join(&out);
@@ -133,11 +137,11 @@ fn check_signal(folder: &TestFolder, case: &Case, number: usize, signal: Signal)
         .into_iter()
         .filter(|name| belongs_to(name, &out))
         .collect();
-    match (case.ending, finished.code()) {
+    match (case.expected, finished.code()) {
         (Interrupted, Some(130)) | (Shown, Some(0 | 130)) | (ByDefault, Some(0)) => {}
         (Interrupted | Shown | ByDefault, None) => {
             assert_eq!(finished.status.signal(), Some(signal.as_raw()), "{context}");
-            if case.ending != ByDefault {
+            if case.expected != ByDefault {
                 assert!(
                     remaining_files.is_empty() || is_resumed,
                     "files {remaining_files:?} remain: {context}"
@@ -189,8 +193,8 @@ fn marked_processes(mark: &Path) -> Vec<String> {
         .collect()
 }
 
-/// Copies a folder of files within `folder`.
-fn copy(folder: &TestFolder, from: &str, to: &str) {
+/// Copies a folder that holds files only, within `folder`.
+fn copy_folder(folder: &TestFolder, from: &str, to: &str) {
     fs::create_dir(folder.join(to)).expect("a new folder");
     for name in folder.list(from) {
         let path = format!("{from}/{name}");
@@ -198,7 +202,7 @@ fn copy(folder: &TestFolder, from: &str, to: &str) {
     }
 }
 
-/// Runs `reveille ARGS`, whose output the tested commands read.
+/// Runs `reveille ARGS` to its end; the tested commands read the files that it writes.
 fn prepare(folder: &TestFolder, args: &str) {
     let finished: FinishedProcess = folder.run(args);
     assert!(finished.is_success(), "{args}: {finished}");
@@ -295,6 +299,7 @@ fn signals_end_a_tuning() {
 #[test]
 fn signals_end_a_training_of_the_transformer() {
     let folder = TestFolder::new();
+    // `RECORD` and `TRAIN` of `dt.rs`, with a longer training.
     let record = "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts";
     prepare(&folder, &format!("{record} --chunk 12 --stride 40 --out a.parquet"));
     let train = "train dt a.parquet --steps 100000 --batch 600 --patience 1000 --set policy.dt.width=8 \

@@ -12,14 +12,15 @@ use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, now, wait_un
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Options of a sweep of about two hundred short runs over all policies.
+/// Options of a sweep of about two hundred short runs over four policies. Two tests below repeat them, as options of a
+/// single run and in an experiment file.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --seeds 12 --first-seed 5 \
     --grid harvest.lambda=0.05,0.1 --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] \
     --set policy.adjusted.t_drx=[2,8]";
 /// Number of runs of [`GRID`].
 const RUNS: usize = 4 * 2 * 12 * 2;
 
-/// Runs `reveille sweep ARGS --out OUT` and returns the bytes of its table.
+/// Runs `reveille sweep ARGS --out OUT` and returns the bytes of its Parquet table.
 fn sweep_table(folder: &TestFolder, args: &str, out: &str) -> Vec<u8> {
     let finished = folder.run(&format!("sweep {args} --out {out} --quiet"));
     assert!(finished.is_success(), "{finished}");
@@ -94,7 +95,7 @@ fn rows_of_the_table_equal_single_runs() {
     let rows = read_rows(&folder.join("s/results.csv"));
     assert_eq!(rows.len(), RUNS);
     // The first row, the last and some between them.
-    for (number, row) in [0, 17, 60, 101, 133, RUNS - 1].into_iter().enumerate() {
+    for row in [0, 17, 60, 101, 133, RUNS - 1] {
         let get = |name: &str| {
             let field = rows[row].iter().find(|(known, _)| known == name);
             &field.unwrap_or_else(|| panic!("no column {name}")).1
@@ -102,7 +103,7 @@ fn rows_of_the_table_equal_single_runs() {
         let command = format!(
             "run --policy {} --devices {} --ttis {} --seed {} --set harvest.lambda={} \
              --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] \
-             --set policy.adjusted.t_drx=[2,8] --quiet --json --out run{number}",
+             --set policy.adjusted.t_drx=[2,8] --quiet --json --out run{row}",
             get("policy"),
             get("n"),
             get("ttis"),
@@ -145,21 +146,21 @@ fn a_killed_sweep_resumes_with_the_same_table() {
     let expected = sweep_table(&folder, grid, "undisturbed");
     // Random moments, counted in runs after the last kill, so that the machine's speed does not matter, plus a random
     // delay.
-    let mut found = 0;
+    let mut kept_runs = 0;
     for kill in 1..=10 {
         let (more_runs, delay) = (random(12) as usize, Duration::from_micros(random(30_000)));
         let sweep = folder.start(&format!("sweep {grid} --threads 2 --out killed"));
         wait_until("the sweep to finish runs", PATIENCE, || {
             let is_there = folder.join("killed/runs.journal").exists();
-            (is_there && folder.count_finished_runs("killed") >= (found + more_runs).min(RUNS)).then_some(())
+            (is_there && folder.count_finished_runs("killed") >= (kept_runs + more_runs).min(RUNS)).then_some(())
         });
         std::thread::sleep(delay);
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = folder.count_finished_runs("killed");
-        println!("kill {kill}: {delay:?} after {more_runs} more runs than {found}, at {lines}");
-        assert!(lines >= found, "finished runs were lost");
-        found = lines;
+        let finished_runs = folder.count_finished_runs("killed");
+        println!("kill {kill}: {delay:?} after {more_runs} more runs than {kept_runs}, at {finished_runs}");
+        assert!(finished_runs >= kept_runs, "finished runs were lost");
+        kept_runs = finished_runs;
     }
     let finished = folder.run(&format!("sweep {grid} --out killed"));
     assert!(finished.is_success(), "{finished}");
@@ -179,18 +180,18 @@ fn a_killed_sweep_resumes_with_the_same_table() {
 #[test]
 fn a_killed_writer_leaves_a_complete_table_or_none() {
     let folder = TestFolder::new();
-    let sweep = "--devices 2 --ttis 20 --seeds 5000";
-    let expected = sweep_table(&folder, sweep, "s");
-    let (table, part) = (folder.join("s/results.parquet"), folder.join("s/results.parquet.part"));
+    let options = "--devices 2 --ttis 20 --seeds 5000";
+    let expected = sweep_table(&folder, options, "s");
+    let (table, part_file) = (folder.join("s/results.parquet"), folder.join("s/results.parquet.part"));
     let mut missing_tables = 0;
     for kill in 1..=10 {
         fs::remove_file(&table).expect("there");
         // All runs are finished; only the table is missing.
-        let writer = folder.start(&format!("sweep {sweep} --out s"));
+        let writer = folder.start(&format!("sweep {options} --out s"));
         // About the time that writing the table takes, so that kills come before and after its end.
         let delay = Duration::from_micros(random(1500));
         let deadline = now() + PATIENCE;
-        while !part.exists() && !table.exists() {
+        while !part_file.exists() && !table.exists() {
             assert!(now() < deadline, "no table is written");
             std::hint::spin_loop();
         }
@@ -204,7 +205,7 @@ fn a_killed_writer_leaves_a_complete_table_or_none() {
         );
         missing_tables += u32::from(is_missing);
         if is_missing {
-            assert!(sweep_table(&folder, sweep, "s") == expected, "the repeated sweep");
+            assert!(sweep_table(&folder, options, "s") == expected, "the repeated sweep");
         }
         assert!(fs::read(&table).expect("there") == expected, "an incomplete table");
     }
@@ -218,7 +219,7 @@ fn runs_of_damaged_journal_rows_are_repeated() {
     let journal = folder.join("s/runs.journal");
     let mut bytes = fs::read(&journal).expect("there");
     let length = bytes.len();
-    // One flipped bit in the middle, and an incomplete last row.
+    // One flipped bit in the middle, and an incomplete last row: a row has more than 37 bytes.
     bytes[length / 2] ^= 4;
     bytes.truncate(length - 37);
     fs::write(&journal, bytes).expect("written");
@@ -283,13 +284,14 @@ fn tables_of_another_version_or_format_are_not_merged() {
     }
     let side_car = folder.join("s2/results.csv.toml");
     let text = fs::read_to_string(&side_car).expect("there");
+    // The version after `TABLE_VERSION` in `lab/src/table/error.rs`.
     fs::write(
         &side_car,
-        text.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\""),
+        text.replace("\"reveille.table\" = \"4\"", "\"reveille.table\" = \"5\""),
     )
     .expect("written");
     let finished = folder.run("merge s1 s2 --out m.csv");
-    assert_refused(&finished, 1, &["s2/results.csv", "version 4", "reads versions 1 to 3"]);
+    assert_refused(&finished, 1, &["s2/results.csv", "version 5", "reads versions 1 to 4"]);
     fs::write(&side_car, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side_car, text).expect("written");
@@ -463,7 +465,7 @@ fn a_full_disk_loses_no_finished_run() {
         return;
     };
     let ballast = path.join("ballast");
-    // Leaves about 36 of 256 kB, enough for some runs only.
+    // Leaves about 36 of the disk's 256 kB, enough for some runs only.
     fs::write(&ballast, vec![0; 220 * 1024]).expect("there is room for it");
     let finished = folder.run(&format!("sweep {GRID} --out disk/s"));
     assert_refused(
@@ -476,20 +478,20 @@ fn a_full_disk_loses_no_finished_run() {
             "give the same command again",
         ],
     );
-    let kept = folder.count_finished_runs("disk/s");
-    assert!(kept > 20 && kept < RUNS, "{kept} runs fit on the disk");
+    let kept_runs = folder.count_finished_runs("disk/s");
+    assert!(kept_runs > 20 && kept_runs < RUNS, "{kept_runs} runs fit on the disk");
     fs::remove_file(&ballast).expect("there");
     let finished = folder.run(&format!("sweep {GRID} --out disk/s"));
     assert!(
-        finished.is_success() && finished.stderr.contains(&format!("{kept} finished runs found")),
+        finished.is_success() && finished.stderr.contains(&format!("{kept_runs} finished runs found")),
         "{finished}"
     );
     assert!(fs::read(path.join("s/results.parquet")).expect("a table") == expected);
 
     // Space for the journal, but not for the table: the runs are kept until there is space.
     fs::remove_file(path.join("s/results.parquet")).expect("there");
-    let full = fs::write(&ballast, vec![0; 256 * 1024]);
-    assert!(full.is_err(), "the disk has more space than requested");
+    let written = fs::write(&ballast, vec![0; 256 * 1024]);
+    assert!(written.is_err(), "the disk has more space than requested");
     let finished = folder.run(&format!("sweep {GRID} --out disk/s --quiet"));
     assert_refused(
         &finished,

@@ -1,5 +1,6 @@
-//! The number of seeds of `sweep`: `--until-ci` takes as few as give the wanted precision. A sweep that is given more
-//! seeds ends with the table of a sweep that started with them, and loses no finished run to kills or a full disk.
+//! The number of seeds of `sweep`: `--until-ci` ends a cell at the wanted precision. A sweep whose number of seeds is
+//! raised ends with the table of a sweep that started with this number, and loses no finished run to kills or a full
+//! disk. `sweep.rs` tests sweeps with a constant number of seeds.
 
 use std::fs;
 use std::time::Duration;
@@ -9,11 +10,14 @@ use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Options of short runs in 4 · 2 cells, without the number of seeds.
+/// Cells of [`GRID`]: four policies, two numbers of devices.
+const CELLS: u64 = 4 * 2;
+/// Options of short runs in [`CELLS`] cells, without the number of seeds.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --first-seed 5 \
     --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
 
-/// Runs `reveille sweep ARGS --out OUT`. Returns the bytes of its table and the number of finished runs that it found.
+/// Runs `reveille sweep ARGS --out OUT`. Returns the bytes of its table, and the number of earlier runs that it found
+/// in its folder.
 fn sweep_table(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
     let finished = folder.run(&format!("sweep {args} --out {out} --json"));
     assert!(finished.is_success(), "{finished}");
@@ -28,15 +32,16 @@ fn a_sweep_with_added_seeds_equals_a_fresh_sweep() {
     let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "fresh");
     sweep_table(&folder, &format!("{GRID} --seeds 3"), "s");
     let (_, found) = sweep_table(&folder, "s/experiment.toml --seeds 7", "s");
-    assert_eq!(found, 4 * 2 * 3);
+    assert_eq!(found, CELLS * 3);
     let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "s");
-    assert_eq!(found, 4 * 2 * 7);
+    assert_eq!(found, CELLS * 7);
     assert!(table == expected, "the table of a sweep with more seeds differs");
     let experiment = |out: &str| fs::read_to_string(folder.join(&format!("{out}/experiment.toml"))).expect("there");
     assert_eq!(experiment("s"), experiment("fresh"));
 }
 
-/// Runs `reveille sweep ARGS --json` without `--out`. Returns the numbers of runs and of runs found, and the folder.
+/// Runs `reveille sweep ARGS --json` without `--out`. Returns the numbers of runs and of earlier runs found, and the
+/// folder that the sweep chose.
 fn sweep_without_out(folder: &TestFolder, args: &str) -> (u64, u64, String) {
     let finished = folder.run(&format!("sweep {args} --json"));
     assert!(finished.is_success(), "{finished}");
@@ -56,17 +61,17 @@ fn an_unnamed_sweep_can_be_extended() {
         five_seeds != two_seeds && (runs, found) == (2, 0),
         "{five_seeds}, {two_seeds}: {runs} runs, {found} found"
     );
-    let again = sweep_without_out(&folder, &format!("{args} --seeds 2"));
-    assert_eq!(again, (2, 2, two_seeds.clone()));
+    let repeated = sweep_without_out(&folder, &format!("{args} --seeds 2"));
+    assert_eq!(repeated, (2, 2, two_seeds.clone()));
     // With its own experiment file the sweep continues in its folder; the number of seeds cannot be lowered.
-    let more = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --seeds 4"));
-    assert_eq!(more, (4, 2, two_seeds.clone()));
-    let fewer = folder.run(&format!("sweep {two_seeds}/experiment.toml --seeds 3"));
-    assert_refused(&fewer, 1, &[&two_seeds, "4 seeds a cell"]);
-    let (_, found, other) = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --ttis 60"));
+    let with_more_seeds = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --seeds 4"));
+    assert_eq!(with_more_seeds, (4, 2, two_seeds.clone()));
+    let with_fewer_seeds = folder.run(&format!("sweep {two_seeds}/experiment.toml --seeds 3"));
+    assert_refused(&with_fewer_seeds, 1, &[&two_seeds, "4 seeds a cell"]);
+    let (_, found, other_folder) = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --ttis 60"));
     assert!(
-        found == 0 && other != two_seeds,
-        "another experiment gets a separate folder: {other}"
+        found == 0 && other_folder != two_seeds,
+        "another experiment gets a separate folder: {other_folder}"
     );
     assert_eq!(folder.list("runs").len(), 3);
 }
@@ -86,9 +91,9 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
     assert!(folder.run("report whole --out b").is_success());
     for (args, out) in [("--shard 1/2", "s1"), ("", "whole")] {
         let sweep = folder.start(&format!("sweep {GRID} --seeds 100000 {args} --out {out}"));
-        let before = folder.count_finished_runs(out);
+        let runs_before = folder.count_finished_runs(out);
         wait_until("runs of the new seeds", PATIENCE, || {
-            (folder.count_finished_runs(out) > before).then_some(())
+            (folder.count_finished_runs(out) > runs_before).then_some(())
         });
         sweep.signal(Signal::KILL);
         sweep.finish();
@@ -115,7 +120,7 @@ fn an_unfinished_table_with_more_seeds_is_not_used() {
         );
     }
     assert!(!folder.join("c").exists());
-    // State after a kill before the removal of the table.
+    // The state after a kill between the change of the experiment and the removal of its table.
     let path = folder.join("s2/experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
@@ -149,7 +154,7 @@ fn a_kill_between_the_writes_of_journal_and_experiment_loses_no_run() {
             let seeds_found = if changed == "runs.journal" { 4 } else { 2 };
             assert_eq!(
                 found,
-                4 * 2 * seeds_found,
+                CELLS * seeds_found,
                 "{changed} has more seeds, resumed by {args}"
             );
             fs::remove_dir_all(folder.join("s")).expect("ours");
@@ -168,15 +173,15 @@ fn a_full_disk_while_seeds_are_added_leaves_the_folder_unchanged() {
     };
     sweep_table(&folder, &format!("{GRID} --seeds 10"), "disk/s");
     let (names, ballast) = (folder.list("disk/s"), path.join("ballast"));
-    let contents = || {
+    let file_contents = || {
         names
             .clone()
             .into_iter()
             .map(|name| fs::read(path.join("s").join(name)).expect("there"))
     };
-    let before: Vec<Vec<u8>> = contents().collect();
-    let full = fs::write(&ballast, vec![0; 256 * 1024]);
-    assert!(full.is_err(), "the disk has more space than requested");
+    let contents_before: Vec<Vec<u8>> = file_contents().collect();
+    let written = fs::write(&ballast, vec![0; 256 * 1024]);
+    assert!(written.is_err(), "the disk has more space than requested");
     let finished = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
     assert_refused(
         &finished,
@@ -189,10 +194,10 @@ fn a_full_disk_while_seeds_are_added_leaves_the_folder_unchanged() {
         ],
     );
     assert_eq!(folder.list("disk/s"), names, "files of the sweep");
-    assert!(contents().eq(before), "the folder has changed");
+    assert!(file_contents().eq(contents_before), "the folder has changed");
     fs::remove_file(ballast).expect("there");
     let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "disk/s");
-    assert!(table == expected && found == 4 * 2 * 10);
+    assert!(table == expected && found == CELLS * 10);
 }
 
 #[test]
@@ -200,7 +205,7 @@ fn fewer_seeds_and_another_first_seed_are_refused() {
     let folder = TestFolder::new();
     let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 4"), "s");
     let journal = || fs::read(folder.join("s/runs.journal")).expect("there");
-    let before = journal();
+    let journal_before = journal();
     for (args, parts) in [
         (
             format!("{GRID} --seeds 3"),
@@ -216,10 +221,10 @@ fn fewer_seeds_and_another_first_seed_are_refused() {
         ),
     ] {
         assert_refused(&folder.run(&format!("sweep {args} --out s")), 1, parts);
-        assert!(journal() == before, "{args}: the journal has changed");
+        assert!(journal() == journal_before, "{args}: the journal has changed");
     }
     let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 4"), "s");
-    assert!(table == expected && found == 4 * 2 * 4);
+    assert!(table == expected && found == CELLS * 4);
 }
 
 #[test]
@@ -261,7 +266,7 @@ fn a_cell_stops_at_the_wanted_precision() {
 #[test]
 fn a_cell_below_the_precision_continues_with_more_seeds() {
     let folder = TestFolder::new();
-    // With 20 seeds the first check is at 20, with 200 at 30.
+    // With 20 seeds the first check of the precision is at 20, with 200 at 30, the default of `--min-seeds`.
     let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
     let (expected, _) = sweep_table(&folder, &format!("{args} --seeds 200"), "fresh");
     sweep_table(&folder, &format!("{args} --seeds 20"), "s");
@@ -278,13 +283,16 @@ fn shards_with_more_seeds_equal_a_fresh_sweep() {
     for index in 1..=3 {
         let (shard, out) = (format!("--shard {index}/3"), format!("s{index}"));
         sweep_table(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
-        let lines = folder.count_finished_runs(&out);
-        assert!((12..=14).contains(&lines), "{lines} runs in a third of 40");
+        let finished_runs = folder.count_finished_runs(&out);
+        assert!(
+            (12..=14).contains(&finished_runs),
+            "{finished_runs} runs in a third of 40"
+        );
         let (_, found) = sweep_table(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
-        assert_eq!(found as usize, lines, "a run stays in its shard");
+        assert_eq!(found as usize, finished_runs, "a run stays in its shard");
         total_found += found;
     }
-    assert_eq!(total_found, 4 * 2 * 5);
+    assert_eq!(total_found, CELLS * 5);
     let merged = folder.run("merge s1 s2 s3 --out merged.parquet");
     assert!(merged.is_success(), "{merged}");
     assert!(fs::read(folder.join("merged.parquet")).expect("a table") == expected);
@@ -296,6 +304,7 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
     let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "fresh");
     sweep_table(&folder, &format!("{GRID} --seeds 20"), "s");
     let journal = folder.join("s/runs.journal");
+    // It states the number of seeds.
     let first_line = || {
         fs::read_to_string(&journal)
             .expect("there")
@@ -303,26 +312,26 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
             .next()
             .map(str::to_owned)
     };
-    let mut found = folder.count_finished_runs("s");
+    let mut kept_runs = folder.count_finished_runs("s");
     for kill in 1..=10_u64 {
-        let before = first_line();
+        let line_before = first_line();
         let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + kill));
         // In half of the cases immediately after the journal is replaced, otherwise slightly before or after.
         if kill % 2 == 0 {
             wait_until("the new number of seeds in the journal", PATIENCE, || {
-                (first_line() != before).then_some(())
+                (first_line() != line_before).then_some(())
             });
         } else {
             std::thread::sleep(Duration::from_micros(1500 * kill));
         }
         sweep.signal(Signal::KILL);
         sweep.finish();
-        let lines = folder.count_finished_runs("s");
-        println!("kill {kill}: {lines} runs after {found}");
-        assert!(lines >= found, "finished runs were lost");
-        found = lines;
+        let finished_runs = folder.count_finished_runs("s");
+        println!("kill {kill}: {finished_runs} runs after {kept_runs}");
+        assert!(finished_runs >= kept_runs, "finished runs were lost");
+        kept_runs = finished_runs;
     }
     let (table, found_at_end) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "s");
-    assert_eq!(found_at_end as usize, found, "runs found in the journal");
+    assert_eq!(found_at_end as usize, kept_runs, "runs found in the journal");
     assert!(table == expected);
 }

@@ -1,20 +1,21 @@
 //! Takeover of a killed process's devices by other hosts, and resumed base stations (`up --resume`, `bs --resume`): the
-//! digest and tables equal an undisturbed run, and a changed folder is refused.
+//! digest and tables equal an undisturbed run, and a changed folder is refused. The runs last several seconds, so that
+//! kills and resume marks, a second apart, come before their end.
 
 use reveille_tests::process::{
     PATIENCE, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
-/// Kills this many device processes of `up` in order, and checks the digest.
-fn check_takeovers(scenario: &str, kills: usize) {
+/// Kills `kill_count` device processes of `up`, each after the takeover of the one before, and checks the digest.
+fn check_takeovers(scenario: &str, kill_count: usize) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("takeover");
     let up = folder.start(&format!(
         "up -P 4 --out out --run {run} {scenario} --pace 4ms --audit on --json"
     ));
-    for kill in 0..kills {
+    for kill in 0..kill_count {
         let tti = folder.wait_for_tti(&run, 10);
         let hosts = wait_until("four device processes", PATIENCE, || {
             Some(hosts_of(&run)).filter(|hosts| hosts.len() == 4)
@@ -27,12 +28,12 @@ fn check_takeovers(scenario: &str, kills: usize) {
         });
         folder.wait_for_tti(&run, tti + 20);
     }
-    let end = up.finish();
-    assert!(end.is_success(), "{end}");
-    assert!(end.stderr.contains("run again after"), "{end}");
-    let summary = end.summary();
+    let finished = up.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert!(finished.stderr.contains("run again after"), "{finished}");
+    let summary = finished.summary();
     assert_eq!(summary.digest(), expected.digest());
-    assert_eq!(summary.number("timing.losses"), kills as u64, "{end}");
+    assert_eq!(summary.number("timing.losses"), kill_count as u64, "{finished}");
     assert_eq!(summary.text("audit"), "complete");
     assert!(hosts_of(&run).is_empty());
 }
@@ -56,22 +57,22 @@ fn a_process_with_spare_capacity_takes_over() {
         "bs {scenario} --pace 4ms --out out --run {run} --listen {endpoint}"
     ));
     bs.wait_for_stderr("waiting for 30 devices");
-    let device = |count: u32| folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
-    let lost_host = device(10);
+    let start_host = |count: u32| folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
+    let lost_host = start_host(10);
     lost_host.wait_for_stderr("joined");
-    let large_host = device(40);
+    let large_host = start_host(40);
     large_host.wait_for_stderr("joined");
     folder.wait_for_tti(&run, 20);
     lost_host.signal(Signal::KILL);
     bs.wait_for_stderr("run again after");
-    let standby = device(5);
+    let standby = start_host(5);
     standby.wait_for_stderr("standing by");
-    let end = bs.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
     for process in [large_host, standby] {
-        let end = process.finish();
-        assert!(end.is_success(), "{end}");
+        let finished = process.finish();
+        assert!(finished.is_success(), "{finished}");
     }
 }
 
@@ -81,8 +82,8 @@ fn a_killed_base_station_resumes_with_its_live_hosts() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("resume"), free_endpoint());
     let scenario = "-n 30 -k 1500 -p q-learning --learn";
     let expected = folder.summary(&format!("run {scenario}"));
-    let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
-    let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
+    let bs_options = format!("--pace 3ms --run {run} --listen {endpoint}");
+    let bs = folder.start(&format!("bs {scenario} --out out {bs_options}"));
     bs.wait_for_stderr("waiting for 30 devices");
     let hosts = [10, 20].map(|count| {
         let host = folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
@@ -95,42 +96,42 @@ fn a_killed_base_station_resumes_with_its_live_hosts() {
     folder.wait_for_tti(&run, 1);
     bs.signal(Signal::KILL);
     bs.finish();
-    let bs = folder.start(&format!("bs --resume out {serve}"));
+    let bs = folder.start(&format!("bs --resume out {bs_options}"));
     bs.wait_for_stderr("replaying the run up to TTI");
-    let end = bs.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
     for host in hosts {
-        let end = host.finish();
-        assert!(end.is_success(), "{end}");
+        let finished = host.finish();
+        assert!(finished.is_success(), "{finished}");
     }
-    let second_resume = folder.run(&format!("bs --resume out {serve}"));
+    let second_resume = folder.run(&format!("bs --resume out {bs_options}"));
     assert!(
         second_resume.code() == Some(1) && second_resume.stderr.contains("has finished"),
         "{second_resume}"
     );
 }
 
-/// Ends a run of `command` with `signal`, and checks that the resumed run equals an undisturbed one in
-/// digest and tables.
+/// Ends a run of `command` with `signal`, and checks that the resumed run equals an undisturbed one in digest and
+/// tables.
 fn check_resumed_run(command: &str, signal: Signal) {
     let folder = TestFolder::new();
     let scenario = "-n 40 -k 60000 -p knn --window 7000";
     let expected = folder.summary(&format!("run {scenario} --out whole"));
-    let run = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
+    let process = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
     wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
-    run.signal(signal);
+    process.signal(signal);
     // Returns once the device processes have ended too, since they share its standard error.
-    run.finish();
-    let end = folder.run(&format!("{command} --resume out"));
-    assert!(end.is_success(), "{end}");
+    process.finish();
+    let finished = folder.run(&format!("{command} --resume out"));
+    assert!(finished.is_success(), "{finished}");
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
     for table in ["events.csv", "windows.csv", "devices.csv"] {
-        let read = |run: &str| std::fs::read(folder.join(run).join(table)).expect("readable");
+        let read = |out: &str| std::fs::read(folder.join(out).join(table)).expect("readable");
         assert!(read("out") == read("whole"), "{table}");
     }
     assert!(!folder.list("out").contains(&"resume.json".to_owned()));
@@ -153,26 +154,26 @@ fn a_run_interrupted_while_waiting_resumes() {
     // This policy sends a plan in each TTI, so that the open TTI already has a message.
     let scenario = "-n 20 -k 800 -p random";
     let expected = folder.summary(&format!("run {scenario}"));
-    let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
+    let bs_options = format!("--pace 3ms --run {run} --listen {endpoint}");
     let start_host = || {
         let host = folder.start(&format!("device --connect {endpoint} --run {run} --count 20"));
         host.wait_for_stderr("joined");
         host
     };
-    let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
+    let bs = folder.start(&format!("bs {scenario} --out out {bs_options}"));
     bs.wait_for_stderr("waiting for 20 devices");
     let killed = start_host();
     folder.wait_for_tti(&run, 20);
     killed.signal(Signal::KILL);
     bs.wait_for_stderr("the run is waiting");
     bs.signal(Signal::TERM);
-    let end = bs.finish();
-    assert_eq!(end.code(), Some(130), "{end}");
-    let bs = folder.start(&format!("bs --resume out {serve}"));
+    let finished = bs.finish();
+    assert_eq!(finished.code(), Some(130), "{finished}");
+    let bs = folder.start(&format!("bs --resume out {bs_options}"));
     bs.wait_for_stderr("waiting for 20 devices");
     let successor = start_host();
-    let end = bs.finish();
-    assert!(end.is_success(), "{end}");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
     assert!(successor.finish().is_success());
 }
@@ -180,30 +181,30 @@ fn a_run_interrupted_while_waiting_resumes() {
 #[test]
 fn a_changed_or_unsuitable_folder_is_not_resumed() {
     let folder = TestFolder::new();
-    let run = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
+    let up = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
     wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
-    run.signal(Signal::KILL);
-    run.finish();
+    up.signal(Signal::KILL);
+    up.finish();
     let path = folder.join("out/resume.json");
     let text = std::fs::read_to_string(&path).expect("readable");
-    let (before, fingerprint) = text.rsplit_once("\"fingerprint\":\"").expect("a fingerprint");
+    let (text_before, fingerprint) = text.rsplit_once("\"fingerprint\":\"").expect("a fingerprint");
     let changed_digit = if fingerprint.starts_with('0') { '1' } else { '0' };
     std::fs::write(
         &path,
-        format!("{before}\"fingerprint\":\"{changed_digit}{}", &fingerprint[1..]),
+        format!("{text_before}\"fingerprint\":\"{changed_digit}{}", &fingerprint[1..]),
     )
     .expect("writable");
-    let end = folder.run("up -P 2 --resume out");
-    assert_eq!(end.code(), Some(1), "{end}");
-    assert!(end.stderr.contains("the replay diverged"), "{end}");
+    let finished = folder.run("up -P 2 --resume out");
+    assert_eq!(finished.code(), Some(1), "{finished}");
+    assert!(finished.stderr.contains("the replay diverged"), "{finished}");
     for (args, why) in [
         ("--resume nothing", "the folder holds no run"),
         ("--resume out -n 5", "leave out all options"),
         ("--resume out --out other", "cannot be used with"),
     ] {
-        let end = folder.run(&format!("up {args}"));
-        assert!(!end.is_success() && end.stderr.contains(why), "{end}");
+        let finished = folder.run(&format!("up {args}"));
+        assert!(!finished.is_success() && finished.stderr.contains(why), "{finished}");
     }
 }

@@ -1,5 +1,6 @@
 //! The command `train q-learning` and the use of its tables: the same bytes with any threads and after kills, no
-//! overwriting without `--force`, and refusals of invalid files and options.
+//! overwriting without `--force`, and refusals of invalid files and options. The tests repeat the version, the JSON and
+//! the checksum of `bs/src/policy/q_learning/learned/file.rs`. A checkpoint is written after every episode.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -15,12 +16,13 @@ const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --windows 1,3
 /// Options of a training that takes hours.
 const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
 
-/// Reads a file; empty if it does not exist.
-fn bytes(folder: &TestFolder, name: &str) -> Vec<u8> {
+/// Reads a file; empty if it does not exist, unlike [`TestFolder::bytes`].
+fn bytes_or_empty(folder: &TestFolder, name: &str) -> Vec<u8> {
     fs::read(folder.join(name)).unwrap_or_default()
 }
 
-/// Trains tables for 10 and 50 devices minimally into `good.json`, and returns their text.
+/// Trains tables for 10 and 50 devices minimally into `good.json`, and returns their text. They are valid for 5 to 100
+/// devices.
 fn train_minimal_tables(folder: &TestFolder) -> String {
     let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
     let finished = folder.run(args);
@@ -33,20 +35,20 @@ fn threads_and_kills_do_not_change_the_tables() {
     let folder = TestFolder::new();
     let finished = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
     assert!(finished.is_success(), "{finished}");
-    let expected = bytes(&folder, "one.json");
+    let expected = bytes_or_empty(&folder, "one.json");
     assert!(expected.len() > 10_000);
     let finished = folder.run(&format!("{TRAINING} --threads 2 --out two.json"));
     assert!(finished.is_success(), "{finished}");
-    assert!(bytes(&folder, "two.json") == expected, "2 threads");
+    assert!(bytes_or_empty(&folder, "two.json") == expected, "2 threads");
 
     let mut kills = 0;
     // Delays in ms, from 0 to about the length of an episode.
     for (threads, delay) in [(1, 3), (2, 21), (2, 60), (1, 37), (1, 0)] {
-        let before = bytes(&folder, "cut.json.checkpoint");
+        let checkpoint_before = bytes_or_empty(&folder, "cut.json.checkpoint");
         let training = folder.start(&format!("{TRAINING} --threads {threads} --out cut.json"));
         let is_done = || folder.join("cut.json").exists();
         wait_until("an episode", PATIENCE, || {
-            (is_done() || bytes(&folder, "cut.json.checkpoint") != before).then_some(())
+            (is_done() || bytes_or_empty(&folder, "cut.json.checkpoint") != checkpoint_before).then_some(())
         });
         std::thread::sleep(Duration::from_millis(delay));
         training.signal(Signal::KILL);
@@ -56,6 +58,7 @@ fn threads_and_kills_do_not_change_the_tables() {
         }
         kills += 1;
     }
+    // On a fast machine the training may end before the last kills.
     assert!(kills >= 3, "only {kills} kills");
     if !folder.join("cut.json").exists() {
         let finished = folder.run(
@@ -71,7 +74,7 @@ fn threads_and_kills_do_not_change_the_tables() {
             "{finished}"
         );
     }
-    assert!(bytes(&folder, "cut.json") == expected, "after kills");
+    assert!(bytes_or_empty(&folder, "cut.json") == expected, "after kills");
     assert_eq!(folder.list("."), ["cut.json", "one.json", "runtime", "two.json"]);
 }
 
@@ -81,22 +84,22 @@ fn an_existing_file_is_replaced_only_with_force() {
     folder.write("mine.json", "mine");
     let args = "train q-learning --quiet --devices 5 --episodes 1 --episode-ttis 20 --out mine.json";
     assert_refused(&folder.run(args), 1, &["mine.json", "file exists", "--force"]);
-    assert_eq!(bytes(&folder, "mine.json"), b"mine");
+    assert_eq!(bytes_or_empty(&folder, "mine.json"), b"mine");
     assert_eq!(folder.list("."), ["mine.json", "runtime"]);
     let finished = folder.run(&format!("{args} --force"));
     assert!(finished.is_success(), "{finished}");
-    let ran = folder.run("run -n 6 -k 50 --policy q-learning --set policy.q-learning.table=mine.json --out r");
-    assert!(ran.is_success(), "{ran}");
+    let with_tables = folder.run("run -n 6 -k 50 --policy q-learning --set policy.q-learning.table=mine.json --out r");
+    assert!(with_tables.is_success(), "{with_tables}");
 }
 
 #[test]
 fn an_interrupted_training_keeps_its_checkpoint() {
     let folder = TestFolder::new();
     for signal in [Signal::INT, Signal::TERM] {
-        let before = bytes(&folder, "t.json.checkpoint");
+        let checkpoint_before = bytes_or_empty(&folder, "t.json.checkpoint");
         let training = folder.start(&format!("{ENDLESS} --out t.json"));
         wait_until("an episode", PATIENCE, || {
-            (bytes(&folder, "t.json.checkpoint") != before).then_some(())
+            (bytes_or_empty(&folder, "t.json.checkpoint") != checkpoint_before).then_some(())
         });
         training.signal(signal);
         let finished = training.finish();
@@ -134,8 +137,8 @@ fn the_checkpoint_of_another_training_is_refused() {
     });
     training.signal(Signal::INT);
     assert_eq!(training.finish().code(), Some(130));
-    let kept = bytes(&folder, "t.json.checkpoint");
-    for (other, why) in [
+    let checkpoint = bytes_or_empty(&folder, "t.json.checkpoint");
+    for (other_options, why) in [
         ("--seed 2", "seed"),
         ("--epsilon 0.1,0.05", "epsilon"),
         ("--set policy.q-learning.mu1=3", "other weights"),
@@ -149,7 +152,7 @@ fn the_checkpoint_of_another_training_is_refused() {
         ("--set events.alpha=0.3", "events.alpha"),
         ("--set bs.sync_interval=77", "another scenario"),
     ] {
-        let finished = folder.run(&format!("{ENDLESS} --out t.json {other}"));
+        let finished = folder.run(&format!("{ENDLESS} --out t.json {other_options}"));
         assert_refused(
             &finished,
             1,
@@ -162,18 +165,18 @@ fn the_checkpoint_of_another_training_is_refused() {
     ));
     assert_refused(&finished, 1, &["t.json.checkpoint", "numbers of devices"]);
     assert!(
-        bytes(&folder, "t.json.checkpoint") == kept,
+        bytes_or_empty(&folder, "t.json.checkpoint") == checkpoint,
         "the checkpoint has changed"
     );
-    fs::write(folder.join("t.json.checkpoint"), &kept[..kept.len() / 2]).expect("a test's folder");
+    fs::write(folder.join("t.json.checkpoint"), &checkpoint[..checkpoint.len() / 2]).expect("a test's folder");
     let finished = folder.run(&format!("{ENDLESS} --out t.json"));
     assert_refused(&finished, 1, &["t.json.checkpoint", "damaged"]);
 }
 
-/// Applies `change` to the body of a table file, and writes a matching checksum.
+/// Applies `change` to the body of a table file, and returns the file with a matching checksum.
 fn with_changed_body(text: &str, change: impl Fn(&str) -> String) -> String {
-    let (_, rest) = text.split_once(",\"body\":").expect("a body");
-    let body = rest.trim_end().strip_suffix('}').expect("an end");
+    let (_, body_and_end) = text.split_once(",\"body\":").expect("a body");
+    let body = body_and_end.trim_end().strip_suffix('}').expect("an end");
     let changed = change(body);
     let hash = Sha256::digest(changed.as_bytes());
     let checksum = hash.iter().fold(String::new(), |mut hex, byte| {
@@ -183,7 +186,7 @@ fn with_changed_body(text: &str, change: impl Fn(&str) -> String) -> String {
     format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{checksum}\",\"body\":{changed}}}\n")
 }
 
-/// Replaces the first value of the first table.
+/// Replaces the first value of the first table by `value`, which may be invalid JSON.
 fn with_first_value(text: &str, value: &str) -> String {
     with_changed_body(text, |body| {
         let (before, after) = body.split_once("\"q\":[[").expect("a table");
@@ -318,22 +321,26 @@ fn a_table_for_other_densities_or_weights_is_refused() {
 #[test]
 fn a_window_without_tables_lists_the_available_ones() {
     let folder = TestFolder::new();
-    let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
+    let run_with = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
+    // The shipped tables have the windows 1, 2 and 4, and ages.
     for window in [1, 2, 4] {
-        let finished = run(&format!("--set policy.q-learning.window={window}"));
+        let finished = run_with(&format!("--set policy.q-learning.window={window}"));
         assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
     }
     // Tables are not chosen by the duration of events, so there is no warning about it.
-    let finished = run("--set events.duration=9");
+    let finished = run_with("--set events.duration=9");
     assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
     // The operator should learn a fact that no base station can know: three of four events end before a device senses.
-    let finished = run("--set policy.q-learning.window=4 --set events.duration=1");
+    let finished = run_with("--set policy.q-learning.window=4 --set events.duration=1");
     assert!(finished.is_success(), "{finished}");
-    let warning = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
-    assert!(warning.iter().all(|part| finished.stderr.contains(part)), "{finished}");
-    let finished = run("--set events.alpha=0.3");
+    let warning_parts = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
+    assert!(
+        warning_parts.iter().all(|part| finished.stderr.contains(part)),
+        "{finished}"
+    );
+    let finished = run_with("--set events.alpha=0.3");
     assert!(finished.stderr.contains("events.alpha 0.2, here 0.3"), "{finished}");
-    let finished = run("--set policy.q-learning.window=3");
+    let finished = run_with("--set policy.q-learning.window=3");
     let hint = "reveille train q-learning --windows 3";
     assert_refused(
         &finished,
@@ -344,9 +351,9 @@ fn a_window_without_tables_lists_the_available_ones() {
             hint,
         ],
     );
-    let finished = run("--set policy.q-learning.ages=true");
+    let finished = run_with("--set policy.q-learning.ages=true");
     assert!(finished.is_success() && finished.stderr.is_empty(), "{finished}");
-    let finished = run("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
+    let finished = run_with("--set policy.q-learning.ages=true --set policy.q-learning.window=2");
     assert_refused(
         &finished,
         1,
@@ -363,7 +370,7 @@ fn a_window_without_tables_lists_the_available_ones() {
     ] {
         let finished = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
         assert!(finished.is_success(), "{finished}");
-        let finished = run(&format!(
+        let finished = run_with(&format!(
             "--set policy.q-learning.table=one.json --set policy.q-learning.{set}"
         ));
         let (field, value) = set.split_once('=').expect("a field");
@@ -388,7 +395,7 @@ fn a_window_without_tables_lists_the_available_ones() {
     let finished = folder.run(&format!("{train} --windows ages --out ages.json"));
     let learned = fs::read_to_string(folder.join("ages.json")).expect("tables");
     assert!(finished.is_success() && learned.contains("\"mu1\":1.0"), "{finished}");
-    let finished = run("--set policy.q-learning.ages=true --set policy.q-learning.mu1=14");
+    let finished = run_with("--set policy.q-learning.ages=true --set policy.q-learning.mu1=14");
     assert_refused(
         &finished,
         1,

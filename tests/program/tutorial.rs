@@ -1,7 +1,8 @@
 //! Runs the commands of docs/tutorial.md in order, in one folder, and compares their output with the page.
 //!
 //! On the page, the language of a block states its purpose: `sh` holds commands that this test runs, `text` their
-//! output. `python` and `toml` hold files, named in their first line. `console` holds the commands of [`NOT_RUN`].
+//! output. `python` and `toml` hold files, named in their first line. `console` holds the commands of [`NOT_RUN`]. A
+//! `text` block follows each `sh` block; `…` in it means any text.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -21,7 +22,8 @@ use reveille_tests::machine::skip_except_in_ci;
 use reveille_tests::process::{PATIENCE, Process, TestFolder, reveille};
 use serde_json::{Value, json};
 
-/// Commands of the page that need a network, a second build, the reader's own terminal or more than a minute.
+/// Commands of the page, in order, that need a network, a second build, the reader's own terminal or more than a
+/// minute.
 const NOT_RUN: [&str; 10] = [
     "git clone ADDRESS reveille",
     "cd reveille",
@@ -36,7 +38,8 @@ const NOT_RUN: [&str; 10] = [
 ];
 
 /// A Python module in place of the package `reveille`, which needs a build and a zenoh client. It calls the page's
-/// policy and lets this test speak with the base station.
+/// policy. The test speaks with the base station in [`decide`], and passes each request to this module and each answer
+/// back.
 const STAND_IN: &str = r#"
 import json, os, socket
 
@@ -66,23 +69,23 @@ fn blocks(page: &str) -> Vec<Block<'_>> {
         .collect()
 }
 
-/// Whether `line` is the line of the page `expected`, in which `…` stands for any text.
+/// Whether `line` matches `expected`, a line of the page, in which `…` means any text.
 fn matches(line: &str, expected: &str) -> bool {
     let mut parts = expected.split('…');
-    let Some(mut rest) = line.strip_prefix(parts.next().unwrap_or_default()) else {
+    let Some(mut unmatched) = line.strip_prefix(parts.next().unwrap_or_default()) else {
         return false;
     };
     let Some(last) = parts.next_back() else {
-        return rest.is_empty();
+        return unmatched.is_empty();
     };
     for part in parts {
-        let Some(at) = rest.find(part) else {
+        let Some(start) = unmatched.find(part) else {
             return false;
         };
-        rest = &rest[at + part.len()..];
+        unmatched = &unmatched[start + part.len()..];
     }
     // The last part can also occur in the text that the last gap stands for.
-    rest.ends_with(last)
+    unmatched.ends_with(last)
 }
 
 /// Checks that the lines of a `text` block occur in `output`, in their order.
@@ -97,7 +100,8 @@ fn check_shown_lines(command: &str, shown: &str, output: &str) {
     }
 }
 
-/// Answers the decision requests of a run with the policy behind `link`.
+/// Answers the decision requests of a run with the policy behind `link`, until the run ends. Requests have the form in
+/// which `python/reveille/policy_client.py` passes them to a policy: the stage is 0 for a plan and 1 for wake-ups.
 fn decide(link: &TcpStream) {
     let mut lines = BufReader::new(link).lines();
     let mut receive = || -> Value {
@@ -111,23 +115,25 @@ fn decide(link: &TcpStream) {
         run_key: Some(key.parse().expect("a key")),
         encoding: Encoding::Json,
     };
-    let mut policy = |asked: &DecisionRequest| -> Decision {
-        let (stage_number, stage) = match asked.head.stage {
+    let mut policy = |request: &DecisionRequest| -> Decision {
+        let (stage_number, stage) = match request.head.stage {
             RequestKind::Wake => (1, DecisionStage::Wake),
             RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => (0, DecisionStage::Plan),
         };
-        let mut request = serde_json::to_value(asked).expect("JSON");
-        request["stage"] = json!(stage_number);
+        let mut request_json = serde_json::to_value(request).expect("JSON");
+        request_json["stage"] = json!(stage_number);
         // One write: many small ones would each wait for the acknowledgement of the one before.
         let mut link = link;
-        link.write_all(format!("{request}\n").as_bytes())
+        link.write_all(format!("{request_json}\n").as_bytes())
             .expect("the policy reads");
         let answer = receive();
         let devices = |name: &str| serde_json::from_value(answer[name].clone()).expect("devices");
-        let mut reply = DecisionReply::for_request(&asked.head, "", "");
+        let mut reply = DecisionReply::for_request(&request.head, "", "");
         (reply.sense, reply.wake) = (devices("sense"), devices("wake"));
-        let n = u32::try_from(asked.action_mask.0.len()).expect("few devices");
-        reply.decision(stage, Tti(asked.head.tti), n).expect("a valid decision")
+        let n = u32::try_from(request.action_mask.0.len()).expect("few devices");
+        reply
+            .decision(stage, Tti(request.head.tti), n)
+            .expect("a valid decision")
     };
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let decision_count = runtime.block_on(async {
@@ -140,7 +146,8 @@ fn decide(link: &TcpStream) {
 /// The reader's terminal: a folder with the program and the stand-in on its search paths.
 struct Terminal {
     folder: TestFolder,
-    policies: TcpListener,
+    /// Policies connect here, with [`STAND_IN`].
+    policy_listener: TcpListener,
 }
 
 impl Terminal {
@@ -151,31 +158,34 @@ impl Terminal {
         }
         symlink(reveille(), folder.join("bin/reveille")).expect("a link");
         folder.write("stand-in/reveille.py", STAND_IN);
-        let policies = TcpListener::bind("127.0.0.1:0").expect("a port");
-        Self { folder, policies }
+        let policy_listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        Self {
+            folder,
+            policy_listener,
+        }
     }
 
     /// Runs a command and returns its standard error and output.
     fn run(&self, line: &str) -> String {
-        let policy = line.contains("--policy-command").then(|| {
-            let policies = self.policies.try_clone().expect("a listener");
-            thread::spawn(move || decide(&policies.accept().expect("the policy connects").0))
+        let policy_thread = line.contains("--policy-command").then(|| {
+            let listener = self.policy_listener.try_clone().expect("a listener");
+            thread::spawn(move || decide(&listener.accept().expect("the policy connects").0))
         });
-        let port = self.policies.local_addr().expect("an address").port();
-        let others = std::env::var("PATH").unwrap_or_default();
+        let port = self.policy_listener.local_addr().expect("an address").port();
+        let search_path = std::env::var("PATH").unwrap_or_default();
         let mut shell = Command::new("sh");
         shell
             .args(["-c", line])
             .current_dir(self.folder.path())
-            .env("PATH", format!("{}:{others}", self.folder.join("bin").display()))
+            .env("PATH", format!("{}:{search_path}", self.folder.join("bin").display()))
             .env("XDG_RUNTIME_DIR", self.folder.join("runtime"))
             .env("PYTHONPATH", self.folder.join("stand-in"))
             .env("TUTORIAL_PORT", port.to_string())
             .env_remove("RUST_LOG");
         let finished = Process::start(&mut shell).finish();
         assert!(finished.is_success(), "{line}: {finished}");
-        if let Some(policy) = policy {
-            policy.join().expect("the policy decides");
+        if let Some(policy_thread) = policy_thread {
+            policy_thread.join().expect("the policy decides");
         }
         finished.stderr + &finished.stdout
     }
@@ -185,10 +195,10 @@ impl Terminal {
 fn every_command_of_the_tutorial_works_as_shown() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/tutorial.md");
     let page = fs::read_to_string(page).expect("the page");
-    let blocks = blocks(&page);
+    let page_blocks = blocks(&page);
     let fences = page.lines().filter(|line| line.trim_start().starts_with("```"));
-    assert_eq!(fences.count(), 2 * blocks.len(), "a block is indented or open");
-    let not_run = blocks.iter().filter(|block| block.language == "console");
+    assert_eq!(fences.count(), 2 * page_blocks.len(), "a block is indented or open");
+    let not_run = page_blocks.iter().filter(|block| block.language == "console");
     let not_run: Vec<&str> = not_run.flat_map(|block| block.text.lines()).collect();
     assert_eq!(not_run, NOT_RUN, "commands that this test leaves out");
     let python_version = Command::new("python3").arg("--version").output();
@@ -197,19 +207,19 @@ fn every_command_of_the_tutorial_works_as_shown() {
     }
 
     let terminal = Terminal::open();
-    let (mut commands, mut digests) = (0, 0);
-    let mut blocks = blocks.iter().peekable();
-    while let Some(Block { language, text }) = blocks.next() {
+    let (mut command_count, mut digest_count) = (0, 0);
+    let mut remaining_blocks = page_blocks.iter().peekable();
+    while let Some(Block { language, text }) = remaining_blocks.next() {
         match *language {
             "sh" => {
                 let output: String = text.lines().map(|line| terminal.run(line)).collect();
-                let output_block = blocks.next_if(|next| next.language == "text");
+                let output_block = remaining_blocks.next_if(|next| next.language == "text");
                 let shown = output_block
                     .unwrap_or_else(|| panic!("no output is shown after {text}"))
                     .text;
                 check_shown_lines(text, shown, &output);
-                commands += text.lines().count();
-                digests += shown.matches("digest ").count();
+                command_count += text.lines().count();
+                digest_count += shown.matches("digest ").count();
             }
             "toml" | "python" => {
                 let name = text.lines().next().and_then(|line| line.strip_prefix("# "));
@@ -218,10 +228,14 @@ fn every_command_of_the_tutorial_works_as_shown() {
                     .write(name.expect("the first line names the file"), text);
             }
             "console" => {}
-            other => panic!("a block in {other:?} has no purpose here: {text}"),
+            unknown => panic!("a block in {unknown:?} has no purpose here: {text}"),
         }
     }
-    assert!(commands > 10 && digests > 6, "{commands} commands, {digests} digests");
+    // Fewer would mean that the page is read wrongly.
+    assert!(
+        command_count > 10 && digest_count > 6,
+        "{command_count} commands, {digest_count} digests"
+    );
     // No step leaves a run behind.
     assert_eq!(terminal.folder.list("runtime/reveille"), Vec::<String>::new());
 }

@@ -1,8 +1,11 @@
-//! Text for people fits 80 columns, also if the output is no terminal.
+//! Text for people fits 80 columns, `WIDTH` in `deploy/src/display.rs`, also if the output is no terminal. Here are the
+//! tables of sweeps, `scenario check` and `inspect stats`; `compare.rs`, `compare_sweeps.rs` and `misses.rs` check the
+//! texts of their commands.
 
 use reveille_tests::process::{FinishedProcess, TestFolder};
 
-/// Checks that the command succeeded and that no line of its text is wider than 80 columns. A path may be longer.
+/// Checks that the command succeeded and that no line of its text is wider than 80 columns. A line that is a path alone
+/// may be longer.
 fn assert_narrow(finished: &FinishedProcess) {
     assert!(finished.is_success(), "{finished}");
     let is_narrow = |line: &str| line.chars().count() <= 80 || !line.trim().contains(' ');
@@ -14,6 +17,7 @@ fn assert_narrow(finished: &FinishedProcess) {
 fn a_sweep_over_several_fields_has_narrow_tables() {
     let folder = TestFolder::new();
     let sweep = "sweep --policies q-learning,age-index --devices 8,120 --ttis 300,400 --seeds 3 --out s";
+    // Of different lengths, which name the folders.
     for grid in [
         "--grid harvest.lambda=0.05,0.1",
         "--grid harvest.lambda=0.05,0.1 --grid sensing.d_max=4,5",
@@ -28,19 +32,19 @@ fn a_sweep_over_several_fields_has_narrow_tables() {
         for heading in ["info (P1)", "battery", "missed %"] {
             assert_eq!(finished.stdout.matches(heading).count(), 1, "{heading}: {finished}");
         }
-        let again = folder.run(&format!("{sweep}{} {grid}", grid.len()));
-        assert_narrow(&again);
-        assert!(again.stdout.contains(" runs, already finished\n"), "{again}");
+        let repeated = folder.run(&format!("{sweep}{} {grid}", grid.len()));
+        assert_narrow(&repeated);
+        assert!(repeated.stdout.contains(" runs, already finished\n"), "{repeated}");
     }
 }
 
 #[test]
 fn checks_and_message_counts_are_narrow() {
     let folder = TestFolder::new();
-    let path = "a-folder-with-a-name/that-is-long/and-another-one-in-it/with-a-scenario/that-is-long-too";
-    std::fs::create_dir_all(folder.join(path)).expect("new");
-    folder.write(&format!("{path}/scenario.toml"), "preset = \"quick\"\n");
-    let finished = folder.run(&format!("scenario check {path}/scenario.toml quick"));
+    let long_path = "a-folder-with-a-name/that-is-long/and-another-one-in-it/with-a-scenario/that-is-long-too";
+    std::fs::create_dir_all(folder.join(long_path)).expect("new");
+    folder.write(&format!("{long_path}/scenario.toml"), "preset = \"quick\"\n");
+    let finished = folder.run(&format!("scenario check {long_path}/scenario.toml quick"));
     assert_narrow(&finished);
     assert!(finished.stdout.contains("scenario.toml:\nok. 20 devices"), "{finished}");
     let recorded = folder.run("up -n 60 -k 1200 -p age-index -P 2 --record r.mcap --quiet --out r");

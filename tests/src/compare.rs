@@ -1,4 +1,7 @@
-//! Runs a scenario on the emulator and returns the results in the form that the reference uses.
+//! Runs a scenario in memory on the emulator and returns its results, for comparison with the reference, closed forms
+//! or other options. `tests/tests/` compares. States have the form of the reference; its results are in
+//! [`ReferenceRun`](crate::reference::ReferenceRun). The scenarios have built-in policies: a run with policy `external`
+//! would not reach its end here.
 
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
@@ -36,45 +39,45 @@ impl Observer for EventCollector {
     }
 }
 
-/// Returns the outcome and the ended events of the whole run.
+/// Runs `scenario` and returns its outcome and its ended events.
 pub fn outcome(scenario: &Scenario, options: RunOptions) -> (RunOutcome, Vec<EventRecord>) {
     let mut collector = EventCollector::default();
-    let outcome = start(scenario, options).finish(&mut collector);
-    (outcome, collector.events)
+    let run_outcome = start(scenario, options).finish(&mut collector);
+    (run_outcome, collector.events)
 }
 
-/// Returns the ledger of each device at the end of the run.
+/// Runs `scenario` and returns the ledger of each device at its end.
 pub fn ledgers(scenario: &Scenario, options: RunOptions) -> Vec<Ledger> {
     let mut run = start(scenario, options);
     while run.cycle().next_tti() < Tti(scenario.run.ttis) {
         run.run_grant(&mut ());
     }
     let ledger_at_end = |machine: &Machine| {
-        // Advances a copy: the run advances its own machines later.
-        let mut machine = machine.clone();
-        machine.advance_to(Tti(scenario.run.ttis));
-        machine.ledger()
+        // Advances a copy: a run advances its machines only when it needs them.
+        let mut machine_copy = machine.clone();
+        machine_copy.advance_to(Tti(scenario.run.ttis));
+        machine_copy.ledger()
     };
     run.machines().iter().map(ledger_at_end).collect()
 }
 
-/// Returns the state and the battery, micro-units, of each device at the end of each TTI, with the `actions` of
-/// operators.
+/// Runs `scenario` with the `actions` of operators, and returns, by TTI and device, the state and the battery,
+/// micro-units, at the end of the TTI. The field `trace` of `ReferenceRun` has the same form.
 pub fn trace(scenario: &Scenario, actions: &[OperatorAction]) -> Vec<Vec<(ReferenceState, u64)>> {
     let mut run = start(scenario, ONE_TTI_PER_GRANT);
     run.schedule_inputs(&ExternalInputs::from_actions(actions));
-    let mut trace = Vec::new();
+    let mut rows = Vec::new();
     for k in (0..scenario.run.ttis).map(Tti) {
         run.run_grant(&mut ());
         let state_and_battery = |machine: &Machine| {
-            // Advances a copy: the run advances its own machines later.
-            let mut machine = machine.clone();
-            machine.begin(k);
-            (reference_state(machine.state()), machine.battery().micro())
+            // Advances a copy: a run advances its machines only when it needs them.
+            let mut machine_copy = machine.clone();
+            machine_copy.begin(k);
+            (reference_state(machine_copy.state()), machine_copy.battery().micro())
         };
-        trace.push(run.machines().iter().map(state_and_battery).collect());
+        rows.push(run.machines().iter().map(state_and_battery).collect());
     }
-    trace
+    rows
 }
 
 /// Converts a device state to the reference's `ReferenceState`.

@@ -16,8 +16,8 @@ use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoi
 use crate::scenarios::paper;
 use crate::transcript::CommandTranscript;
 
-/// Options of a short run with 30 devices and 400 TTIs. [`run_built_in`] and [`TestFolder::start_waiting_bs`] repeat
-/// these numbers.
+/// Options of a short run with 30 devices and 400 TTIs. [`run_built_in`], [`TestFolder::start_waiting_bs`] and the
+/// tests repeat these numbers.
 pub const SHORT_RUN: &str = "-n 30 -k 400";
 
 /// Runs `policy` in memory, on the scenario of [`SHORT_RUN`] with `fields` overridden, and returns its transcript and
@@ -36,14 +36,17 @@ pub fn run_built_in(policy: &str, fields: &[&str]) -> (CommandTranscript, String
 /// `bs/src/policy/external/features.rs` writes it; other devices have 0.
 pub const MAY_WAKE: u8 = 2;
 
-/// Looks up the answer to a decision request in `transcript`.
-pub fn answer(transcript: &CommandTranscript, request: &DecisionRequest) -> Decision {
+/// Looks up the decision that `request` asks for in `transcript`.
+///
+/// # Panics
+/// If the transcript has no plan for the TTI, or more devices than the request.
+pub fn answer_from(transcript: &CommandTranscript, request: &DecisionRequest) -> Decision {
     let stage = match request.head.stage {
         RequestKind::Wake => DecisionStage::Wake,
         RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
     };
     transcript.answer(stage, Tti(request.head.tti), |DeviceId(j)| {
-        // The transcript holds all wake-ups of the TTI, also those that were answered already.
+        // The transcript holds all wake-ups of the TTI, also of devices that earlier answers have woken.
         request.action_mask.0[j as usize] == MAY_WAKE
     })
 }
@@ -53,15 +56,16 @@ pub struct ExternallyDecidedRun {
     /// Working folder of the run.
     pub folder: TestFolder,
     /// Run name.
-    pub run: String,
+    pub name: String,
     /// Endpoint of the base station.
     pub endpoint: String,
-    /// Process of `up`.
+    /// Process of the command, such as `up`, that runs the base station.
     pub process: Process,
 }
 
 impl ExternallyDecidedRun {
-    /// Starts `up` with the scenario of [`SHORT_RUN`] and `args`.
+    /// Starts `up` in a new folder with the scenario of [`SHORT_RUN`], policy `external`, the run folder `out` and
+    /// `args`.
     pub fn start(args: &str) -> Self {
         Self::start_in(
             TestFolder::new(),
@@ -69,13 +73,14 @@ impl ExternallyDecidedRun {
         )
     }
 
-    /// Starts a command in the given folder.
+    /// Starts a command that runs a base station in the given folder: `command` has no `--run`, `--listen` and
+    /// `--json`.
     pub fn start_in(folder: TestFolder, command: &str) -> Self {
-        let (run, endpoint) = (unique_run("port"), free_endpoint());
-        let process = folder.start(&format!("{command} --run {run} --listen {endpoint} --json"));
+        let (name, endpoint) = (unique_run("port"), free_endpoint());
+        let process = folder.start(&format!("{command} --run {name} --listen {endpoint} --json"));
         Self {
             folder,
-            run,
+            name,
             endpoint,
             process,
         }
@@ -87,12 +92,12 @@ impl ExternallyDecidedRun {
     /// If the run is not found.
     pub fn key(&self) -> Secret {
         wait_until("the run to be found", PATIENCE, || {
-            let name = self
+            let file_name = self
                 .folder
                 .list("runtime/reveille")
                 .into_iter()
-                .find(|name| name.starts_with(&self.run))?;
-            let entry = self.folder.bytes(&format!("runtime/reveille/{name}"));
+                .find(|file_name| file_name.starts_with(&self.name))?;
+            let entry = self.folder.bytes(&format!("runtime/reveille/{file_name}"));
             let entry: Value = serde_json::from_slice(&entry).ok()?;
             entry["key"].as_str()?.parse().ok()
         })
@@ -103,63 +108,69 @@ impl ExternallyDecidedRun {
     /// # Panics
     /// If no base station listens.
     pub async fn bus(&self) -> Bus {
-        let run = self.run.parse().expect("a run name");
-        Bus::connect(&self.endpoint, run, PATIENCE).await.expect("it listens")
+        let name = self.name.parse().expect("a run name");
+        Bus::connect(&self.endpoint, name, PATIENCE).await.expect("it listens")
     }
 
-    /// Answers decision requests with `decide` until the run ends; returns the number of answers.
+    /// Answers decision requests with `policy` until the run ends or its base station is lost; returns the number of
+    /// answers.
     ///
     /// # Panics
-    /// If the bus fails.
-    pub async fn decide(&self, encoding: Encoding, mut decide: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
+    /// If the bus fails, or the run has no key.
+    pub async fn decide(&self, encoding: Encoding, mut policy: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
         let identity = ClientIdentity {
             name: "the test".to_owned(),
             run_key: Some(self.key()),
             encoding,
         };
-        let answer_count = client::serve_decisions(&self.bus().await, &identity, &mut decide).await;
+        let answer_count = client::serve_decisions(&self.bus().await, &identity, &mut policy).await;
         answer_count.expect("the bus is open")
     }
 
-    /// Waits for the end of the process.
+    /// Waits for the end of the process. Returns the working folder, which is removed on drop, and the ended process.
     pub fn finish(self) -> (TestFolder, FinishedProcess) {
         (self.folder, self.process.finish())
     }
 }
 
-/// A policy process that misbehaves. It sends `OLDEST_PROTOCOL` of `bs/src/policy/external/wire.rs`.
+/// Version of the protocol that a [`MisbehavingPolicy`] speaks, `OLDEST_PROTOCOL` in `bs/src/policy/external/wire.rs`.
+const PROTOCOL: u32 = 1;
+/// Process id of every [`MisbehavingPolicy`] at the policy port.
+const ROGUE_ID: &str = "rogue";
+
+/// A policy process that misbehaves. It writes its replies as JSON, with the field names of
+/// `bs/src/policy/external/wire.rs`.
 pub struct MisbehavingPolicy {
     bus: Bus,
+    /// The run's key, as hexadecimal text.
     key: String,
-    id: &'static str,
 }
 
 impl MisbehavingPolicy {
     /// Connects to `run` with its key.
-    pub async fn at(run: &ExternallyDecidedRun) -> Self {
+    pub async fn connect(run: &ExternallyDecidedRun) -> Self {
         Self {
             bus: run.bus().await,
             key: run.key().to_string(),
-            id: "rogue",
         }
     }
 
-    /// Answers the hello request and passes other requests to `act`, until it returns false or no request arrives for
-    /// 3 s.
+    /// Answers the hello request and passes other requests to `handle_request`, which replies itself, until it returns
+    /// false or no request arrives for 3 s. The end of the run is such a request too, with the stage `bye`.
     ///
     /// # Panics
     /// If a request is not JSON, or the session is closed.
-    pub async fn serve(&self, mut act: impl FnMut(&PortRequest, &Value) -> bool) {
+    pub async fn serve(&self, mut handle_request: impl FnMut(&PortRequest, &Value) -> bool) {
         let requests = self.bus.serve_policy_port().expect("a queryable");
         while let Ok(Some(port_request)) = tokio::time::timeout(Duration::from_secs(3), requests.next()).await {
             let request: Value = serde_json::from_slice(&port_request.payload).expect("JSON");
             if request["stage"] == "hello" {
                 let hello_reply = json!({
-                    "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": "hello",
-                    "id": self.id, "name": "a rogue", "key": self.key,
+                    "protocol": PROTOCOL, "seq": request["seq"], "tti": request["tti"], "stage": "hello",
+                    "id": ROGUE_ID, "name": "a rogue", "key": self.key,
                 });
                 send_reply(&port_request, &hello_reply);
-            } else if !act(&port_request, &request) {
+            } else if !handle_request(&port_request, &request) {
                 return;
             }
         }
@@ -169,8 +180,8 @@ impl MisbehavingPolicy {
     pub fn idle_answer(&self, request: &Value) -> Value {
         let decision_field = if request["stage"] == "plan" { "sense" } else { "wake" };
         let mut answer = json!({
-            "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": request["stage"],
-            "id": self.id, "key": self.key,
+            "protocol": PROTOCOL, "seq": request["seq"], "tti": request["tti"], "stage": request["stage"],
+            "id": ROGUE_ID, "key": self.key,
         });
         answer[decision_field] = json!([]);
         answer

@@ -13,7 +13,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, DeviceRange, Frame, OperatorAction, Setting};
 use reveille_common::totals::{Ledger, MissCause};
 use reveille_common::units::Energy;
-use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line, parse};
+use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, input_line, parse};
 use reveille_lab::preparation::{prepare, start};
 use reveille_lab::replay::Replay;
 use reveille_lab::run::RunOptions;
@@ -96,7 +96,7 @@ proptest! {
         let scenario = scenarios::scenario(&text);
         let actions = scenarios::actions(&scenario, seed);
         let inputs = ExternalInputs::from_actions(&actions);
-        let log = first_line(&scenario) + &inputs.iter().map(|input| line(&input)).collect::<String>();
+        let log = first_line(&scenario) + &inputs.iter().map(|input| input_line(&input)).collect::<String>();
         let parsed = parse(&log, &scenario).map_err(|error| TestCaseError::fail(format!("{error}\n{log}")))?;
         prop_assert_eq!(parsed, inputs, "log\n{}", log);
         let (outcome, _, frames) = run(&scenario, &actions, RunOptions::default());

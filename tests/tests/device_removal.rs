@@ -47,7 +47,7 @@ fn removal(first: u32, count: u32, tti: u64, wake_ups: Option<u32>) -> DeviceRem
     }
 }
 
-/// Returns the TTIs and senders of unsolicited reports.
+/// Returns the TTIs and senders of all reports, answers to wake-ups included.
 fn reports(frames: &[Frame]) -> Vec<(Tti, DeviceId)> {
     let tti_and_sender = |frame: &Frame| match frame.message() {
         Ok(Message::Report(report)) => Some((report.tti, report.device)),

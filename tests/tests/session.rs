@@ -132,7 +132,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                 for machine in machines.iter_mut().rev() {
                     match grant.stimulus.map(|event| machine.sense(grant.last, &event, &physics)) {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
-                        Some(SenseOutcome::Failed(failure)) => failures.push(failure),
+                        Some(SenseOutcome::TransmissionFailed(failure)) => failures.push(failure),
                         Some(SenseOutcome::Unpowered) => unpowered += 1,
                         Some(SenseOutcome::Nothing) | None => {}
                     }

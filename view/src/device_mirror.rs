@@ -357,7 +357,7 @@ impl DeviceMirror {
                         continue;
                     }
                     SenseOutcome::Reported(report) => self.expected_reports.push_back(report),
-                    SenseOutcome::Failed(failure) => self.expected_failures.push_back(failure),
+                    SenseOutcome::TransmissionFailed(failure) => self.expected_failures.push_back(failure),
                 }
                 self.before_sensing.push(unsensed);
             }

@@ -81,7 +81,7 @@ impl Genie {
     }
 
     /// Returns all devices within d_max of `epicentre`, the closest at the end, ties as in [`Self::closest_device`].
-    fn devices_around(&self, epicentre: Point) -> Vec<DeviceId> {
+    fn in_range_farthest_first(&self, epicentre: Point) -> Vec<DeviceId> {
         let mut devices = Vec::new();
         self.buckets.within(epicentre, self.d_max, |j, d| devices.push((d, j)));
         devices.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
@@ -124,7 +124,7 @@ impl Oracle for Genie {
     fn reveal_event(&mut self, stimulus: &Stimulus) {
         self.epicentre = stimulus.epicentre;
         self.wake_stack = if self.is_lossy {
-            self.devices_around(stimulus.epicentre)
+            self.in_range_farthest_first(stimulus.epicentre)
         } else {
             self.closest_device(stimulus.epicentre).into_iter().collect()
         };
@@ -137,7 +137,7 @@ impl Oracle for Genie {
     /// Queues the devices again if the radio is lossy, since a later answer can succeed.
     fn needs_another_wake_up(&mut self) -> bool {
         if self.is_lossy {
-            self.wake_stack = self.devices_around(self.epicentre);
+            self.wake_stack = self.in_range_farthest_first(self.epicentre);
         }
         !self.wake_stack.is_empty()
     }

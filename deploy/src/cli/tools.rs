@@ -319,7 +319,7 @@ pub(crate) struct BusBenchArgs {
     /// Duration of each measurement.
     #[arg(long, default_value = "3s", value_parser = parse_duration)]
     pub time: Duration,
-    /// Number of repetitions; the result is the median ratio.
+    /// Number of repetitions; the results are medians.
     #[arg(long, default_value_t = 3, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
 }
@@ -390,7 +390,7 @@ pub(crate) struct WatchBenchArgs {
     /// Number of browsers that show the dashboard.
     #[arg(long, default_value_t = 1, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub browsers: u32,
-    /// Number of pairs of runs; the result is the median ratio.
+    /// Number of pairs of runs; the results are medians.
     #[arg(long, default_value_t = 5, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
 }

@@ -1,7 +1,8 @@
 //! `reveille bs`: the base station, for devices started by hand. [`serve_run`] is the whole run over the bus, which
 //! `up` shares: services, replay and audit, results, farewell. The order of its steps is a guarantee: the summary is
 //! written after all other files, since it marks the folder as complete, and the hosts leave after it. Tests wait for
-//! the notes `waiting for N devices` and `dashboard at`; `bench watch` reads the address in the latter.
+//! the notes `waiting for N devices` and `dashboard at`, and rely on handlers of signals installed before them. Tests
+//! and `bench watch` read the address in the latter.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -55,7 +56,7 @@ const OBSERVER_DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
-    check_watchers(&args.output, &args.drive)?;
+    check_observers(&args.output, &args.drive)?;
     let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
@@ -86,7 +87,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     }
     let progress = Arc::new(RunProgress::default());
     serve_run(
-        &Service {
+        &RunService {
             bus: &bus,
             run: &args.run,
             scenario: &scenario,
@@ -107,15 +108,15 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     .await
 }
 
-/// A base station ready to serve.
-pub(crate) struct Service<'a> {
+/// A base station ready to serve a run.
+pub(crate) struct RunService<'a> {
     /// The bus session.
     pub bus: &'a Bus,
     /// The run's name.
     pub run: &'a RunName,
     /// The scenario.
     pub scenario: &'a Scenario,
-    /// Server settings of the run.
+    /// Server settings of the run. The mark of a resumed run replaces `window_ttis`.
     pub settings: ServerConfig,
     /// Options for the results and their display.
     pub output: &'a OutputArgs,
@@ -125,11 +126,12 @@ pub(crate) struct Service<'a> {
     pub holds_dashboard: bool,
     /// Extent of the audit.
     pub audit: AuditArg,
-    /// External inputs of a new run: decisions of an earlier run, and scripted actions.
+    /// External inputs of a new run: decisions of an earlier run, and scripted actions. A resumed run takes its inputs
+    /// from its folder instead.
     pub inputs: ExternalInputs,
     /// Source of decisions under the policy `external`.
     pub policy_source: PolicySource<'a>,
-    /// The run's progress.
+    /// The run's progress, which also carries the request to stop and its cause.
     pub progress: Arc<RunProgress>,
     /// The signals that end the run.
     pub signals: &'a Signals,
@@ -137,11 +139,11 @@ pub(crate) struct Service<'a> {
     pub started: Instant,
 }
 
-/// Checks, before a run folder exists, that the watchers of the run can be started.
+/// Checks, before a run folder exists, that the recording, the metrics and the dashboard of the run can be started.
 ///
 /// # Errors
 /// If one of them cannot.
-pub(crate) fn check_watchers(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
+pub(crate) fn check_observers(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
     crate::run_watchers::check(output)?;
     match &drive.dashboard {
         Some(address) => crate::metrics_server::check_can_listen("--dashboard", address),
@@ -149,7 +151,8 @@ pub(crate) fn check_watchers(output: &OutputArgs, drive: &DriveArgs) -> anyhow::
     }
 }
 
-/// Returns the settings that the command line requests.
+/// Returns the settings that the command line requests, with windows of `window` TTIs. The caller sets `join_timeout`,
+/// `run_key` and `join_needs_key`, which differ between `bs` and `up`.
 pub(crate) fn server_settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> ServerConfig {
     if drive.no_lookahead && drive.pace != Pace::Max {
         tracing::warn!("--no-lookahead has no effect: a real-time --pace already grants every TTI separately");
@@ -167,13 +170,18 @@ pub(crate) fn server_settings(drive: &DriveArgs, output: &OutputArgs, window: u6
     }
 }
 
-/// Serves the run, writes the results and dismisses the hosts. Calls `on_timing` before any host leaves.
+/// Serves the run, writes the results to `folder` and dismisses the hosts. After a run without error it calls
+/// `on_timing` while all hosts still live, so that `up` can measure its device processes.
+///
+/// # Errors
+/// If an observer or the policy process cannot be started, the run or its audit fails, or the results cannot be
+/// written. The folder is then marked as failed.
 pub(crate) async fn serve_run(
-    service: &Service<'_>,
+    service: &RunService<'_>,
     mut folder: RunFolder,
     on_timing: impl FnOnce(&mut Timing),
 ) -> anyhow::Result<ExitCode> {
-    let Service {
+    let RunService {
         bus,
         scenario,
         output,
@@ -182,13 +190,13 @@ pub(crate) async fn serve_run(
         started,
         ..
     } = service;
-    let services = start_services(service, folder.path()).await.and_then(|services| {
+    let starting = start_observation(service, folder.path()).await.and_then(|observation| {
         let policy = service
             .policy_source
             .start(bus, service.settings.run_key, progress, output.quiet)?;
-        Ok((services, policy))
+        Ok((observation, policy))
     });
-    let (services, policy_process) = match services {
+    let (observation, policy_process) = match starting {
         Ok(started) => started,
         Err(error) => {
             folder.fail(&error);
@@ -196,18 +204,18 @@ pub(crate) async fn serve_run(
         }
     };
     // The first two are held to the end of the run: dropping them withdraws the registration and the queries.
-    let RunServices {
-        registered,
+    let RunObservation {
+        registration,
         described,
         watchers,
         feed_handle,
-    } = services;
+    } = observation;
     let path = folder.path().to_owned();
     // A recording that cannot be written ends the run at the end of a window.
     let recording_check = StopWhen(watchers.recording_failure_check());
     let mut observer = (&mut folder, (watchers.metrics_observer(), recording_check));
     let (relay_signals, relay_progress) = ((*signals).clone(), Arc::clone(progress));
-    // The set-up and the loop over TTIs check `stop`, not signals.
+    // The set-up and the loop over TTIs check `progress`, not signals.
     let relay = tokio::spawn(async move {
         relay_signals.wait_for_first().await;
         relay_progress.request_stop();
@@ -253,7 +261,7 @@ pub(crate) async fn serve_run(
         }
         Err(error) => {
             let error = match wait_for_cause(progress).await {
-                Some(why) => with_cause(&why, &error),
+                Some(cause) => with_cause(&cause, &error),
                 None => error,
             };
             folder.fail(&error);
@@ -270,7 +278,7 @@ pub(crate) async fn serve_run(
         tokio::time::sleep(DASHBOARD_GRACE).await;
         if service.holds_dashboard && result.is_ok() && !signals.has_arrived() {
             // The run has ended for all other programs.
-            drop((registered, described));
+            drop((registration, described));
             signals.note_saved();
             note!("the dashboard is served until Ctrl-C");
             signals.wait_for_first().await;
@@ -279,14 +287,15 @@ pub(crate) async fn serve_run(
     result
 }
 
-/// Runs over the bus, together with the replay. Returns the outcome and the extent of the audit.
+/// Runs over the bus, together with the replay. Returns the outcome and the extent of the audit, for the
+/// summary.
 async fn run_over_bus(
-    service: &Service<'_>,
+    service: &RunService<'_>,
     prepared: &PreparedRun,
     folder: &Path,
     observer: &mut impl Observer,
 ) -> anyhow::Result<(ServerOutcome, String)> {
-    let Service {
+    let RunService {
         bus,
         scenario,
         settings,
@@ -314,7 +323,7 @@ async fn run_over_bus(
         ..*settings
     };
     let mut mark_writer = ResumeMarkWriter::new(folder, scenario, window, mark);
-    let (session, resumption) = if let Some(tti) = resume_tti {
+    let (session, checkpoint) = if let Some(tti) = resume_tti {
         let (session, devices) = tokio::task::block_in_place(|| {
             let mut observers = (&mut *observer, &mut mark_writer);
             resume::replay(prepared, &inputs, tti, window, progress, &mut observers)
@@ -333,16 +342,16 @@ async fn run_over_bus(
     };
     // Before any grant: a run that does not reproduce its mark must not continue.
     mark_writer.check()?;
-    let start = audit::AuditStart {
+    let audit_start = audit::AuditStart {
         from: resume_tti.unwrap_or_default(),
         inputs: &inputs,
         input_log: log,
     };
-    let auditor = Auditor::start(prepared, start, *audit, progress);
+    let auditor = Auditor::start(prepared, audit_start, *audit, progress);
     let spec = RunSpec {
         prepared,
         session,
-        checkpoint: resumption.map(Arc::new),
+        checkpoint: checkpoint.map(Arc::new),
         // The replay also stores external inputs, so actions and a policy process need it under every --on-loss.
         replay: Some(auditor.replay_source()),
         decision_timeout: service.policy_source.decision_timeout,
@@ -357,12 +366,12 @@ async fn run_over_bus(
     mark_finished?;
     let audited = auditor.finish(&served.outcome);
     if audited.is_err() {
-        // A run that failed its audit must not be resumed, so its mark is removed.
+        // A run that failed its audit must not be resumed: its mark is removed, as the mark of a complete run is.
         mark_writer.finish(true)?;
     }
     // A fault stops the run in order, as a signal does; only the cause tells them apart.
-    if let Some(why) = progress.stop_cause() {
-        bail!("{why}");
+    if let Some(cause) = progress.stop_cause() {
+        bail!("{cause}");
     }
     // An interrupted run may leave logged decisions unused; a complete run that does so had the wrong log.
     let fits_log = !served.outcome.is_complete || served.unused_decisions == 0;
@@ -376,27 +385,29 @@ async fn run_over_bus(
     }
 }
 
-/// The cause of a stop, if known. Waits briefly: a process's connection ends a moment before the process.
+/// Returns the cause of a stop, if known. Waits briefly: a process's connection ends a moment before the process.
 async fn wait_for_cause(progress: &RunProgress) -> Option<String> {
     for _ in 0..MAX_CAUSE_POLLS {
-        if let Some(why) = progress.stop_cause() {
-            return Some(why.to_owned());
+        if let Some(cause) = progress.stop_cause() {
+            return Some(cause.to_owned());
         }
         tokio::time::sleep(CAUSE_POLL_INTERVAL).await;
     }
     None
 }
 
-/// Adds the cause `why` to `error`. A lost host whose process has ended cannot rejoin and was not frozen.
-fn with_cause(why: &str, error: &anyhow::Error) -> anyhow::Error {
+/// Adds `cause` to `error`. A lost host whose process has ended cannot rejoin and was not frozen.
+fn with_cause(cause: &str, error: &anyhow::Error) -> anyhow::Error {
     // `run_over_bus` may have returned the cause itself.
-    if error.to_string() == why {
-        return anyhow!("{why}");
+    if error.to_string() == cause {
+        return anyhow!("{cause}");
     }
     if let Some(BsError::HostLost { host, first, last, tti }) = error.downcast_ref() {
-        anyhow!("{why}: lost host {host} with devices {first} to {last} at TTI {tti}; use --resume to continue the run")
+        anyhow!(
+            "{cause}: lost host {host} with devices {first} to {last} at TTI {tti}; use --resume to continue the run"
+        )
     } else {
-        anyhow!("{why}: {error:#}")
+        anyhow!("{cause}: {error:#}")
     }
 }
 
@@ -404,23 +415,27 @@ fn with_cause(why: &str, error: &anyhow::Error) -> anyhow::Error {
 /// the preparation, since there is nothing to lose yet.
 fn prepare_on_thread(scenario: &Scenario, progress: &RunProgress) -> anyhow::Result<PreparedRun> {
     let scenario = scenario.clone();
-    let is_over = || progress.is_stop_requested();
-    // The wait blocks this thread; the task that turns a signal into `stop` runs on another one.
-    let ready = tokio::task::block_in_place(|| run_on_thread(move || prepare_run(&scenario), is_over))?;
-    ready.ok_or_else(|| Interrupted::BEFORE_RUN.into())
+    let is_abandoned = || progress.is_stop_requested();
+    // The wait blocks this thread; the task that turns a signal into a stop request runs on another one.
+    let prepared = tokio::task::block_in_place(|| run_on_thread(move || prepare_run(&scenario), is_abandoned))?;
+    prepared.ok_or_else(|| Interrupted::BEFORE_RUN.into())
 }
 
-/// The registration, the descriptions and the watchers of a run, held until its end.
-struct RunServices {
-    registered: Option<run_registry::Registration>,
+/// The parts of a run by which others find and observe it, held until its end.
+struct RunObservation {
+    /// The entry by which `clock` and `inspect` find the run on this machine; `None` if it could not be written.
+    registration: Option<run_registry::Registration>,
+    /// The answers to queries for the scenario and for the input log.
     described: [DeclarationGuard; 2],
+    /// The recording and the metrics.
     watchers: RunWatchers,
     /// The handle that feeds the dashboard, if it is served.
     feed_handle: Option<FeedHandle>,
 }
 
-async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<RunServices> {
-    let Service {
+/// Starts all that observes the run in `folder`, before any device joins.
+async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::Result<RunObservation> {
+    let RunService {
         run,
         bus,
         scenario,
@@ -428,8 +443,8 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
         progress,
         ..
     } = service;
-    let registered = run_registry::register(run, bus.endpoint(), service.settings.run_key);
-    if let Err(error) = &registered {
+    let registration = run_registry::register(run, bus.endpoint(), service.settings.run_key);
+    if let Err(error) = &registration {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` cannot find this run; give them --run {run} and --connect {}, or set \
              XDG_RUNTIME_DIR to a folder that only you can write to",
@@ -468,10 +483,10 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
                 FeedOrigin::OwnRun(folder),
                 None,
             );
-            let served =
+            let dashboard =
                 crate::dashboard::serve(address, Arc::clone(&feed), Some(bus.with_key(service.settings.run_key)))
                     .await?;
-            note!("dashboard at {}", served.url);
+            note!("dashboard at {}", dashboard.url);
             Some(feed.open()?)
         }
         None => None,
@@ -489,8 +504,8 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
             }
         }));
     }
-    Ok(RunServices {
-        registered: registered.ok(),
+    Ok(RunObservation {
+        registration: registration.ok(),
         described,
         watchers,
         feed_handle,

@@ -1,5 +1,5 @@
 //! `reveille clock`: pause, step and resume a run, and act on it. The printed status is the text of `ClockStatus`
-//! (`common/src/message/control.rs`), which `tests/src/process.rs` parses.
+//! (`common/src/message/control.rs`), which `tests/src/process.rs` and `tests/chaos/bus_runs.py` parse.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -29,7 +29,8 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         .with_key(address.key);
     let command = match args.command.clock_command() {
         Ok(command) => command,
-        Err(act) => return act_on_run(bus, &ActRequest::from(act)).await,
+        // Not a failure: `clock act` has an action instead of a command.
+        Err(action_args) => return act_on_run(bus, &ActRequest::from(action_args)).await,
     };
     let ended = Arc::new(Notify::new());
     let end_notifier = Arc::clone(&ended);
@@ -68,6 +69,7 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
     let Some(tti) = bus.query(request, QUERY_TIMEOUT).await? else {
         return Err(bus.no_run_error().await.into());
     };
+    // Without `at`, its text names only the changes.
     let changes = ActRequest {
         at: None,
         ..request.clone()
@@ -77,26 +79,26 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
     Ok(ExitReason::Done.into())
 }
 
-/// Waits until the clock reaches the target in `reply`, the answer to the command. Returns the status to print, at the
-/// latest after `timeout`.
+/// Waits until the clock reaches the target, the TTI `until` in `reply`, the answer to the command. Returns the status
+/// to print, at the latest after polls for `timeout`; the time of the queries does not count.
 ///
 /// # Errors
-/// If the clock stops or the run ends before the target.
+/// If the clock stops or the run ends before the target, or the base station does not answer.
 async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout: Duration) -> anyhow::Result<String> {
     let (target, ttis) = (reply.stop_before, reply.ttis);
     let mut status = reply;
-    let (mut waited, mut has_warned) = (Duration::ZERO, false);
+    let (mut polled_time, mut has_noted_loss) = (Duration::ZERO, false);
     loop {
         if status.paused && status.tti < target {
             anyhow::bail!("{status}: another command paused the clock before TTI {target}");
         }
         // Another command can have sent the clock beyond the target.
-        if status.paused || status.tti > target || waited >= timeout {
+        if status.paused || status.tti > target || polled_time >= timeout {
             return Ok(status.to_string());
         }
-        if !status.lost.is_empty() && !has_warned {
+        if !status.lost.is_empty() && !has_noted_loss {
             note!("{status}");
-            has_warned = true;
+            has_noted_loss = true;
         }
         let next_reply = tokio::select! {
             () = ended.notified() => None,
@@ -105,7 +107,7 @@ async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout:
                 bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await
             } => next_reply?,
         };
-        waited += POLL_INTERVAL;
+        polled_time += POLL_INTERVAL;
         let Some(next_status) = next_reply else {
             let last_tti = status.tti;
             if last_tti.0 >= ttis {

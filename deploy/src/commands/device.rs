@@ -1,5 +1,6 @@
-//! `reveille device`: a process that runs devices. Tests wait for the note `joined`. With `--parent`, it prints no
-//! notes about its join and ends with its parent.
+//! `reveille device`: a process that runs devices. Tests wait for the note `joined`. With `--parent`, it is a child of
+//! `up`, prints no notes about its join and ends with its parent; `child_process` writes the options and the key of a
+//! child.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -28,8 +29,8 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     file_limits::ensure_for_device_process()?;
     // `up` reports on behalf of its children.
     let is_standalone = args.parent.is_none();
-    let report = |event: HostEvent| match event {
-        HostEvent::Joined(host, first, last) if is_standalone => {
+    let report_event = |event: HostEvent| match event {
+        HostEvent::Joined { host, first, last } if is_standalone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
         HostEvent::StandsBy if is_standalone => {
@@ -38,10 +39,11 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
                 args.run
             );
         }
-        HostEvent::Joined(..) | HostEvent::StandsBy => {}
+        HostEvent::Joined { .. } | HostEvent::StandsBy => {}
     };
     let key = match &args.key_file {
         Some(path) => Some(key::read(path)?),
+        // The key that a parent passes to its child.
         None => key::inherited(),
     };
     let config = HostConfig {
@@ -60,13 +62,13 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     let work = async {
         let bus =
             Bus::connect_with_hosts(args.host_count, &args.connect, args.run.clone(), args.connect_timeout).await?;
-        let result = host::run_host(&bus, config, &report).await;
+        let result = host::run_host(&bus, config, &report_event).await;
         bus.close().await;
         result
     };
     match signals.unless_interrupted(work).await {
         Some(Ok(())) => Ok(ExitReason::Done.into()),
-        // `up` ended the run and reports the cause; its child has not failed.
+        // `up` ended the run and reports the cause; its child has not failed, and `supervisor` must not report it.
         Some(Err(HostError::RunFailed(_))) if !is_standalone => Ok(ExitReason::Done.into()),
         Some(Err(error)) => Err(error.into()),
         None => Ok(ExitReason::Interrupted.into()),

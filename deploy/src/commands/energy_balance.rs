@@ -1,4 +1,5 @@
-//! The energy balance of a scenario as text, for `reveille scenario check`. `docs/scenarios.md` shows it.
+//! The energy balance of a scenario as text, for `reveille scenario check`. `common/src/energy_balance/` computes it;
+//! `docs/scenarios.md` and `docs/tutorial.md` show it. Values start after 18 columns: two spaces and a label of 16.
 
 use std::time::Duration;
 
@@ -8,10 +9,10 @@ use reveille_common::energy_balance::{ClassBalance, EnergyBalance, HarvestRange}
 
 use crate::display::count_noun;
 
-/// Significant digits of amounts and ratios.
+/// Significant digits of amounts and ratios; shares have three.
 const DIGITS: u32 = 4;
 
-/// Formats `balance` as lines of at most 80 columns.
+/// Formats `balance` as lines of at most 80 columns. A scenario with several classes has a block for each.
 pub(super) fn format_balance(balance: &EnergyBalance) -> String {
     let mut lines = vec![
         format!("  simulated time  {}", format_simulated_time(balance)),
@@ -36,6 +37,7 @@ pub(super) fn format_balance(balance: &EnergyBalance) -> String {
     lines.join("\n") + "\n"
 }
 
+/// Formats a harvest, with a second line for its range if the devices differ.
 fn format_harvest(HarvestRange { mean, min, max }: HarvestRange) -> String {
     let [mean_text, min_text, max_text] = [mean, min, max].map(|harvest| format_significant(harvest, DIGITS));
     let range = if min_text == max_text {
@@ -48,28 +50,28 @@ fn format_harvest(HarvestRange { mean, min, max }: HarvestRange) -> String {
 
 /// Formats the table of consumptions of the devices of `class`.
 fn format_costs(class: &ClassBalance, balance: &EnergyBalance) -> Vec<String> {
-    let per_tti = |name: &str, cost: f64, ratio: Option<f64>| {
-        let lasts = match class.actions_per_battery(cost) {
+    let format_cost_per_tti = |name: &str, cost: f64, ratio: Option<f64>| {
+        let lifetime = match class.actions_per_battery(cost) {
             Some(ttis) => format!("{}{}", count_noun(ttis as usize, "TTI"), format_span(balance, ttis)),
             None => "any time".to_owned(),
         };
         let ratio = ratio.map_or_else(|| "–".to_owned(), |ratio| format_significant(ratio, DIGITS));
         format!(
-            "  {name:<16}{:>10}{ratio:>18}  {lasts}",
+            "  {name:<16}{:>10}{ratio:>18}  {lifetime}",
             format_significant(cost, DIGITS)
         )
     };
-    let reports = class.actions_per_battery(class.report_cost);
-    let reports = reports.map_or_else(
+    let report_count = class.actions_per_battery(class.report_cost);
+    let reports_text = report_count.map_or_else(
         || "any number of reports".to_owned(),
         |reports| count_noun(reports as usize, "report"),
     );
     vec![
         format!("  {:<16}{:>10}{:>18}  full battery pays", "", "cost", "harvest / cost"),
-        per_tti("always sensing", class.sensing_cost, class.sensing_ratio()),
-        per_tti("always sleeping", class.sleeping_cost, class.sleeping_ratio()),
+        format_cost_per_tti("always sensing", class.sensing_cost, class.sensing_ratio()),
+        format_cost_per_tti("always sleeping", class.sleeping_cost, class.sleeping_ratio()),
         format!(
-            "  {:<16}{:>10}{:>18}  {reports}",
+            "  {:<16}{:>10}{:>18}  {reports_text}",
             "a report",
             format_significant(class.report_cost, DIGITS),
             ""
@@ -83,7 +85,7 @@ fn format_longest_gap(class: &ClassBalance, balance: &EnergyBalance) -> Vec<Stri
         return Vec::new();
     };
     let ttis = count_noun(gap.ttis as usize, "TTI");
-    let meaning = if batteries > 1.0 {
+    let consequence = if batteries > 1.0 {
         ": every device loses power"
     } else {
         ""
@@ -95,7 +97,7 @@ fn format_longest_gap(class: &ClassBalance, balance: &EnergyBalance) -> Vec<Stri
             gap.first
         ),
         format!(
-            "{:18}sleeping through it takes {} full batteries{meaning}",
+            "{:18}sleeping through it takes {} full batteries{consequence}",
             "",
             format_significant(batteries, 3)
         ),
@@ -113,7 +115,8 @@ fn format_simulated_time(balance: &EnergyBalance) -> String {
     format!("{ttis}, {model_time} units of model time")
 }
 
-/// Formats the time that `ttis` TTIs represent, in brackets; empty if no energy source defines the duration of a TTI.
+/// Formats the time that `ttis` TTIs represent, in brackets. Empty unless the energy sources define one duration of a
+/// TTI, and no other.
 fn format_span(balance: &EnergyBalance, ttis: u64) -> String {
     let &[tti_seconds] = balance.tti_seconds.as_slice() else {
         return String::new();
@@ -139,6 +142,7 @@ mod tests {
 
     use super::*;
 
+    /// Returns the balance of the preset or file `source` with the fields of `set`.
     fn text_with(source: &str, set: &[&str]) -> String {
         let overrides: Vec<Override> = set
             .iter()

@@ -1,5 +1,6 @@
 //! The experiment that the command line selects, for `sweep` and `train record`: an experiment file and options on top.
-//! `lab/src/sweep/` defines the file. The order of options does not matter.
+//! `lab/src/sweep/` defines the file. The order of options does not matter, except that the last of several `--set` for
+//! one field applies.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,7 @@ use toml::Value;
 use super::resolve_scenario::REPLAY_PREFIX;
 use crate::cli::GridArgs;
 
-/// Loads the optional experiment `file` and applies the options.
+/// Loads the optional experiment `file` and applies the options, which take precedence.
 pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::Result<Experiment> {
     let defaults = match file {
         Some(path) => ExperimentBuilder::load(path)?,
@@ -22,15 +23,18 @@ pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::
     Ok(experiment)
 }
 
-/// Returns an error for a policy that only a single run can have.
+/// Returns an error for a policy that only a single run can have, wherever `policy.name` is swept or set.
 fn check_policies(experiment: &Experiment) -> anyhow::Result<()> {
     let axes = experiment.axes.iter();
-    let swept = axes.flat_map(|axis| axis.values.iter().map(|value| (&axis.path, value, &axis.origin)));
-    let set = experiment
+    let swept_values = axes.flat_map(|axis| axis.values.iter().map(|value| (&axis.path, value, &axis.origin)));
+    let set_values = experiment
         .set
         .iter()
         .map(|(field, value, origin)| (field, value, origin));
-    for (_, value, origin) in swept.chain(set).filter(|(field, ..)| *field == "policy.name") {
+    for (_, value, origin) in swept_values
+        .chain(set_values)
+        .filter(|(field, ..)| *field == "policy.name")
+    {
         let name = value.as_str().unwrap_or_default();
         if name == outside::EXTERNAL_NAME {
             bail!(
@@ -45,9 +49,11 @@ fn check_policies(experiment: &Experiment) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Returns a builder with the values of the options alone.
 fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
     let mut builder = ExperimentBuilder {
         scenario: args.scenario.clone(),
+        // A scenario file of an option is relative to the working directory.
         base_dir: PathBuf::new(),
         seed_count: args.seeds,
         first_seed: args.first_seed,
@@ -56,14 +62,14 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
         min_seeds: args.min_seeds,
         ..ExperimentBuilder::default()
     };
-    for (flag, field, values) in [
+    for (option, field, values) in [
         ("--policies", "policy.name", &args.policies),
         ("--devices", "devices", &args.devices),
         ("--ttis", "ttis", &args.ttis),
     ] {
         if let Some(values) = values {
             let texts = values.iter().filter(|text| !text.trim().is_empty());
-            builder.add_axis(flag, field, texts.map(|text| parse_value(text)).collect())?;
+            builder.add_axis(option, field, texts.map(|text| parse_value(text)).collect())?;
         }
     }
     for text in &args.grid {
@@ -83,14 +89,15 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
         let Some((field, value)) = text.split_once('=') else {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
-        let option = format!("--set {}", text.trim());
-        let field = builder.rename(field.trim(), &option);
-        builder.set.insert(field, (parse_value(value), option));
+        let origin = format!("--set {}", text.trim());
+        // `add_axis` maps former names itself.
+        let field = builder.current_path(field.trim(), &origin);
+        builder.set.insert(field, (parse_value(value), origin));
     }
     Ok(builder)
 }
 
-/// Parses a TOML value; a bare word becomes a string.
+/// Parses a TOML value. Any other text, such as a bare word or several values, becomes a string.
 fn parse_value(text: &str) -> Value {
     parse_value_list(&format!("[{text}]"))
         .ok()

@@ -1,4 +1,5 @@
-//! Input tables and output files of the commands `figures` and `report`. Standard output has one path per written file.
+//! Input tables and output files of the commands `figures` and `report`; `compare` reads tables here too. Standard
+//! output has one path per written file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,7 +21,7 @@ pub(super) fn read_tables(paths: &[PathBuf]) -> anyhow::Result<Results> {
     Ok(Results::new(&read_named_tables(paths)?, &Disk)?)
 }
 
-/// Reads the tables. Each has its path as its name.
+/// Reads the tables. Each has its path as its name; a folder stands for the table of its sweep.
 pub(super) fn read_named_tables(paths: &[PathBuf]) -> anyhow::Result<Vec<(String, Table)>> {
     let read = |path: &PathBuf| -> anyhow::Result<(String, Table)> {
         let path = resolve_table(path)?;
@@ -29,7 +30,8 @@ pub(super) fn read_named_tables(paths: &[PathBuf]) -> anyhow::Result<Vec<(String
     paths.iter().map(read).collect()
 }
 
-/// Writes a picture in all requested formats, and prints the paths.
+/// Writes a picture in all requested formats, and prints the paths. `name` is the file name without its extension, and
+/// part of the identifiers in the SVG: letters, digits and `-` only.
 pub(super) fn write_picture(args: &FigureOutputArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
     for format in &args.format {
         let (extension, bytes) = match format {

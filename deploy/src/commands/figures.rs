@@ -1,6 +1,7 @@
 //! `reveille figures`: figures as SVG and PNG, with their data as CSV. `study/src/figures/` draws; this module reads
-//! the input, names the files, and reports figures that cannot be drawn. `docs/drawing-figures.md` and
-//! `docs/figures/make.sh` use the file names.
+//! the input, names the files, and reports figures that cannot be drawn. `docs/drawing-figures.md`,
+//! `docs/figures/make.sh` and tests use the file names. A new figure of [`draw_study`] needs its name in
+//! `cli::other_figures`; to appear in the report, also an entry in `draw_figures` and `figure_order` of `report`.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -33,7 +34,7 @@ use crate::cli::{
 use crate::display::note;
 use crate::run_reader::RunReader;
 
-/// The metrics that are drawn against a swept field unless `--only` selects others.
+/// The metrics that are drawn against a swept field unless `--only` selects figures, whose metrics are drawn instead.
 const SWEPT_METRICS: [&str; 2] = ["info_p1", "energy_per_device_tti"];
 
 /// Draws the requested figures.
@@ -51,8 +52,9 @@ pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     }
 }
 
+/// Draws the figures over the runs of a study: each condition's figures, then the comparisons of several settings.
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
-    let chosen = study::select_figures(&args.only, &other_figures())?;
+    let chosen_figures = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
     let swept = SweptNumbers::of_results(&results);
     // The paper has no figures of a swept field, so its runs are drawn against this field. So are runs of the preset's
@@ -64,7 +66,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     };
     let with_labels = results.conditions.iter().zip(results.file_labels());
     for (condition, label) in with_labels.filter(|(condition, _)| !is_swept(condition)) {
-        for figure in &chosen {
+        for figure in &chosen_figures {
             let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(condition) else {
                 note!(
@@ -96,7 +98,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         }
     }
     for numbers in &swept {
-        draw_swept_field(args, &results, numbers, &chosen)?;
+        draw_swept_field(args, &results, numbers, &chosen_figures)?;
     }
     suggest_lines(&results, &swept);
     for (label, conditions) in results.by_preset_and_length() {
@@ -108,16 +110,16 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Draws the metrics of the `chosen` figures, by default information and energy, against a swept field. There is a
+/// Draws the metrics of the `chosen_figures`, by default information and energy, against a swept field. There is a
 /// picture for each combination of the other settings.
 fn draw_swept_field(
     args: &FiguresArgs,
     results: &Results,
     numbers: &SweptNumbers,
-    chosen: &[study::PaperFigure],
+    chosen_figures: &[study::PaperFigure],
 ) -> anyhow::Result<()> {
     let is_default = |figure: &&study::PaperFigure| SWEPT_METRICS.contains(&figure.metric);
-    for figure in chosen
+    for figure in chosen_figures
         .iter()
         .filter(|figure| !args.only.is_empty() || is_default(figure))
     {
@@ -137,15 +139,15 @@ fn draw_swept_field(
     Ok(())
 }
 
-/// Suggests how to compare the values of swept fields that are not numbers.
-fn suggest_lines(results: &Results, drawn: &[SweptNumbers]) {
+/// Suggests how to compare the values of swept fields other than `drawn_fields`: fields that are not numbers.
+fn suggest_lines(results: &Results, drawn_fields: &[SweptNumbers]) {
     let fields: BTreeSet<&str> = results
         .conditions
         .iter()
         .filter(|condition| !condition.is_unchanged_preset())
         .flat_map(|condition| &condition.swept_fields)
         .map(|(path, _)| path.as_str())
-        .filter(|path| !drawn.iter().any(|numbers| numbers.field == *path))
+        .filter(|path| !drawn_fields.iter().any(|numbers| numbers.field == *path))
         .collect();
     for field in fields {
         note!(
@@ -155,8 +157,9 @@ fn suggest_lines(results: &Results, drawn: &[SweptNumbers]) {
     }
 }
 
+/// Whether the figure `name` is drawn: without `--only`, every figure is.
 fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
-    args.only.is_empty() || args.only.iter().any(|only| only == name)
+    args.only.is_empty() || args.only.iter().any(|chosen| chosen == name)
 }
 
 /// Draws information and delay against energy.
@@ -203,7 +206,7 @@ fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) ->
     Ok(())
 }
 
-/// Draws Figs. 13 and 14.
+/// Draws Figs. 13 and 14, the harvest and the net energy against λ.
 fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> anyhow::Result<()> {
     let [draws_harvest, draws_net] = energy::NAMES.map(|name| is_chosen(args, name));
     if !draws_harvest && !draws_net {
@@ -232,12 +235,14 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
                 energy::net_csv(&chart).as_bytes(),
             )?;
         } else {
+            // The policies and N are constants of `energy`.
             note!("{net_name}: not drawn, as it needs runs of adjusted and random with 100 devices");
         }
     }
     Ok(())
 }
 
+/// Draws an event on the map of the devices.
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_repeated_run(args.run.as_deref(), &args.scenario)?;
     let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
@@ -246,10 +251,12 @@ fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Draws the attention of a decision of `dt`.
 fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
-    let mut given = args.scenario.clone();
-    given.policy.get_or_insert_with(|| "dt".to_owned());
-    let scenario = resolve_with_builtin_policy(&given)?;
+    let mut scenario_args = args.scenario.clone();
+    // The only policy with an attention.
+    scenario_args.policy.get_or_insert_with(|| "dt".to_owned());
+    let scenario = resolve_with_builtin_policy(&scenario_args)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
@@ -266,15 +273,17 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
         (policies, _) => policies.to_vec(),
     };
     let scenario_of = |policy: &String| {
-        let mut given = args.scenario.clone();
-        given.policy = Some(policy.clone());
-        resolve_with_builtin_policy(&given)
+        let mut scenario_args = args.scenario.clone();
+        scenario_args.policy = Some(policy.clone());
+        resolve_with_builtin_policy(&scenario_args)
     };
     // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
     let scenarios = policies.iter().map(scenario_of).collect::<anyhow::Result<Vec<_>>>()?;
-    let is_requested = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
-    let all = robustness::IMPAIRMENTS.iter();
-    let impairments: Vec<_> = all.filter(|impairment| is_requested(impairment.name)).collect();
+    let is_requested = |name: &str| args.only.is_empty() || args.only.iter().any(|requested| requested == name);
+    let all_impairments = robustness::IMPAIRMENTS.iter();
+    let impairments: Vec<_> = all_impairments
+        .filter(|impairment| is_requested(impairment.name))
+        .collect();
     let points = robustness::measure(&scenarios, &impairments, args.seeds);
     let name = format!("{}-n{}", robustness::NAME, scenarios[0].run.devices);
     let grid = robustness::grid(&points, &impairments, &scenarios[0]);
@@ -287,6 +296,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Draws the states and batteries of some devices over time.
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_repeated_run(args.run.as_deref(), &args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
@@ -296,6 +306,7 @@ fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Draws the missed events of a run folder by place and cause.
 fn draw_misses(args: &MissesFigureArgs) -> anyhow::Result<ExitCode> {
     let run_misses = RunReader::open(&args.run)?.misses()?;
     write_picture(
@@ -306,6 +317,7 @@ fn draw_misses(args: &MissesFigureArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Draws the learning curves in files of learned tables.
 fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
     let read = |path: &PathBuf| Ok((path.display().to_string(), read_learned(path)?));
     let sources = args.files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
@@ -321,18 +333,27 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Draws the tables for the requested numbers of devices: duty cycles, or wake-ups with `--wake`.
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     let (file, learned) = (args.file.display().to_string(), read_learned(&args.file)?);
-    let entry = |devices: &u32| q_table::find_table_set(&file, &learned, *devices, args.window);
-    let entries = args.devices.iter().map(entry).collect::<Result<Vec<&TableSet>, _>>()?;
-    for entry in entries {
-        let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));
-        let name = format!("q-table-{}-n{}{window}", file_stem(&args.file), entry.devices);
+    let find_table_set = |devices: &u32| q_table::find_table_set(&file, &learned, *devices, args.window);
+    let table_sets = args
+        .devices
+        .iter()
+        .map(find_table_set)
+        .collect::<Result<Vec<&TableSet>, _>>()?;
+    for table_set in table_sets {
+        let window_suffix = args.window.map_or_else(String::new, |window| format!("-w{window}"));
+        let name = format!(
+            "q-table-{}-n{}{window_suffix}",
+            file_stem(&args.file),
+            table_set.devices
+        );
         let Some(ranking) = args.wake else {
-            write_picture(&args.pictures, &name, &q_table::duty_scene(&learned, entry))?;
+            write_picture(&args.pictures, &name, &q_table::duty_scene(&learned, table_set))?;
             for (name, csv) in [
-                (format!("{name}.csv"), q_table::duty_csv(&learned, entry)),
-                (format!("{name}-value.csv"), q_table::value_csv(&learned, entry)),
+                (format!("{name}.csv"), q_table::duty_csv(&learned, table_set)),
+                (format!("{name}-value.csv"), q_table::value_csv(&learned, table_set)),
             ] {
                 write_file(&args.pictures.out, &name, csv.as_bytes())?;
             }
@@ -343,11 +364,15 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
             RankingArg::Posterior => WakeUpRanking::Posterior,
         };
         let name = format!("{name}-wake-{}", ranking.name());
-        write_picture(&args.pictures, &name, &q_table::wake_scene(&learned, entry, ranking))?;
+        write_picture(
+            &args.pictures,
+            &name,
+            &q_table::wake_scene(&learned, table_set, ranking),
+        )?;
         write_file(
             &args.pictures.out,
             &format!("{name}.csv"),
-            q_table::wake_csv(entry, ranking).as_bytes(),
+            q_table::wake_csv(table_set, ranking).as_bytes(),
         )?;
     }
     Ok(ExitCode::SUCCESS)
@@ -377,7 +402,7 @@ fn with_suggestion(error: FigureError) -> anyhow::Error {
     let FigureError::UnknownField { name, known } = &error else {
         return error.into();
     };
-    // clap keeps only static names; the program ends after this error.
+    // Leaked, since clap keeps only static names; the program ends after this error.
     let hint = most_similar_name(name, known.clone().leak().split(", "));
     let hint = hint.map_or_else(String::new, |similar| format!("; did you mean `{similar}`?"));
     anyhow!("{error}{hint}")
@@ -406,7 +431,7 @@ fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the `pictures` of `spec` with their data.
+/// Writes the `pictures` of `spec` with their data, and notes the lines that have no value.
 fn write_sweep_pictures(
     args: &FigureOutputArgs,
     spec: &SweepFigureSpec,

@@ -19,7 +19,7 @@ pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     for path_or_folder in &args.shards {
         let path =
             resolve_table(path_or_folder).map_err(|error| anyhow!("{error}; use --partial to merge without it"))?;
-        // --force would replace a table that has not been read yet.
+        // With --force the merged table would replace one of its parts.
         if is_same_path(&path, &args.out) {
             bail!(
                 "--out {}: is one of the tables to merge; name another file",
@@ -34,16 +34,16 @@ pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     table.write(&args.out, format)?;
-    let part = match &table.metadata.shard {
+    let shard_note = match &table.metadata.shard {
         Some(shards) => format!(", from shards {shards} only"),
         None => String::new(),
     };
     let runs = display::count_noun(table.rows.len(), "run");
-    display::print_stdout(&format!("{runs} in {}{part}\n", args.out.display()))?;
+    display::print_stdout(&format!("{runs} in {}{shard_note}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The format of the table at `out`.
+/// Returns the format of the table at `out`, by the extension of the file.
 fn table_format(out: &Path) -> anyhow::Result<Format> {
     let extension = out.extension().unwrap_or_default();
     let format = [Format::Parquet, Format::Csv]

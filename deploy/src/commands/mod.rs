@@ -1,6 +1,6 @@
-//! The subcommands, one file each, which execute the options of `cli`. Shared parts: `resolve_scenario` and
-//! `experiment` for the start, `resume` for a resumed run, `figure_files` for files of tables and figures. Start with
-//! `run` for a run in memory, and `bs` for a run over the bus.
+//! The subcommands, one file or folder each, which execute the options of `cli`; `main.rs` calls them. Shared parts:
+//! `resolve_scenario` and `experiment` for the start, `resume` for a resumed run, `figure_files` for files of tables
+//! and figures, `energy_balance` for a scenario. Start with `run` for a run in memory, and `bs` for a run over the bus.
 
 pub(crate) mod analyse;
 pub(crate) mod bs;
@@ -43,7 +43,7 @@ pub(crate) fn window_length(args: &OutputArgs, scenario: &Scenario) -> u64 {
 }
 
 /// Prints the summary in the chosen form and returns the exit code. Scripts and tests read the line `digest …` of
-/// `--quiet`; `docs/tutorial.md` shows the whole text.
+/// `--quiet`; `docs/tutorial.md` shows the whole text, which a test compares.
 pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) -> anyhow::Result<ExitCode> {
     if args.json {
         display::print_stdout(&summary.to_json()?)?;

@@ -1,5 +1,8 @@
 //! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the conditions that meet most
 //! claims. `figure_order` recognises a figure by the start of its title, which `study/src/figures/` sets.
+//!
+//! With `--page`, tables and the command line end up in the committed `docs/reproduction.md`. A change of
+//! [`report_command`] or of the command in [`search`] changes the page at its next generation; no test compares it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -50,11 +53,11 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
         args.top,
         args.out.display()
     );
-    let page = search_markdown::markdown(&ranking, args.top, &command);
-    write_file(&args.out, "search.md", page.as_bytes())?;
+    let markdown = search_markdown::markdown(&ranking, args.top, &command);
+    write_file(&args.out, "search.md", markdown.as_bytes())?;
     insert_into_page(
         args.page.as_deref(),
-        &search_markdown::page_sections(&ranking, args.top, &command),
+        &search_markdown::search_sections(&ranking, args.top, &command),
     )?;
     Ok(ExitCode::SUCCESS)
 }
@@ -71,7 +74,7 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
         );
     }
     let mut pictures = Vec::new();
-    let mut files = Vec::new();
+    let mut titles_and_files = Vec::new();
     for preset in report.missing_presets() {
         note!(
             "report: the tables hold no runs of preset {preset}, so the report has no column for it; add the table of \
@@ -79,35 +82,38 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
         );
     }
     for (number, condition) in (1..).zip(report.conditions_to_draw()) {
-        for (name, scene) in scenes(condition)? {
+        for (name, scene) in draw_figures(condition)? {
             let name = format!("{name}-{number}");
             let file = format!("{name}.svg");
-            let picture = svg::svg(&scene, &name);
-            write_file(&args.out, &file, picture.as_bytes())?;
-            files.push((format!("{}, {}", scene.title, condition.label()), file));
-            pictures.push((scene.title, number, picture));
+            let svg_text = svg::svg(&scene, &name);
+            write_file(&args.out, &file, svg_text.as_bytes())?;
+            titles_and_files.push((format!("{}, {}", scene.title, condition.label()), file));
+            pictures.push((scene.title, number, svg_text));
         }
     }
     // Sorted by figure, so that the pictures of both presets are next to each other.
     pictures.sort_by_key(|(title, number, _)| (figure_order(title), *number));
-    let pictures: Vec<String> = pictures.into_iter().map(|(_, _, picture)| picture).collect();
+    let svg_texts: Vec<String> = pictures.into_iter().map(|(_, _, svg_text)| svg_text).collect();
     let command = report_command(args);
     write_file(
         &args.out,
         "report.md",
-        report_markdown::markdown(&report, &files, &command).as_bytes(),
+        report_markdown::markdown(&report, &titles_and_files, &command).as_bytes(),
     )?;
     write_file(
         &args.out,
         "report.html",
-        html_page(&report, &pictures, &command).as_bytes(),
+        html_page(&report, &svg_texts, &command).as_bytes(),
     )?;
-    insert_into_page(args.page.as_deref(), &report_markdown::page_sections(&report, &command))?;
+    insert_into_page(
+        args.page.as_deref(),
+        &report_markdown::report_sections(&report, &command),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Draws all figures of a condition, with their names.
-fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
+/// Draws all figures of a condition, with their names: as `figures::draw_study` does, without fronts and swept fields.
+fn draw_figures(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>> {
     let mut scenes = Vec::new();
     for figure in study::PAPER_FIGURES {
         if let Some(drawing) = figure.draw(condition) {
@@ -128,7 +134,8 @@ fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>
     Ok(scenes)
 }
 
-/// The position of a picture: the paper's order first, then figures that the paper does not have.
+/// The position of a picture: the paper's order first, then figures that the paper does not have. "Harvest" and "Net"
+/// begin the titles in `study/src/figures/energy.rs`; an unknown title comes last.
 fn figure_order(title: &str) -> usize {
     let titles = study::PAPER_FIGURES.iter().map(|figure| figure.title);
     let trades = pareto::TRADE_OFFS.iter().map(|trade| trade.title);
@@ -137,7 +144,7 @@ fn figure_order(title: &str) -> usize {
     position.unwrap_or(usize::MAX)
 }
 
-/// The command line that regenerates this report.
+/// The command line that regenerates this report, without `--page`.
 fn report_command(args: &ReportArgs) -> String {
     format!(
         "reveille report {} --out {}",
@@ -146,7 +153,7 @@ fn report_command(args: &ReportArgs) -> String {
     )
 }
 
-/// Inserts `sections` between their marks in the optional page.
+/// Inserts `sections` between their marks in the optional page, and prints its path.
 fn insert_into_page(page: Option<&Path>, sections: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
     let text = fs::read_to_string(path).map_err(|error| {
@@ -159,7 +166,7 @@ fn insert_into_page(page: Option<&Path>, sections: &[PageSection]) -> anyhow::Re
     Ok(())
 }
 
-/// The tables as given on the command line.
+/// The tables as given on the command line, without quotes.
 fn join_paths(tables: &[PathBuf]) -> String {
     let tables: Vec<String> = tables.iter().map(|path| path.display().to_string()).collect();
     tables.join(" ")

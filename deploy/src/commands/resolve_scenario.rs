@@ -1,5 +1,14 @@
 //! Resolution of the command line to a scenario: preset or file, options, `--set`, `--policy replay=FILE`, `--resume`.
-//! All commands that run or draw a scenario use it.
+//! Commands that run or draw a scenario use one of three entry points:
+//!
+//! | function | commands | policy `external` | `--resume`, `replay=` | run folder |
+//! |---|---|---|---|---|
+//! | [`resolve_started_run`] | `run`, `up`, `bs` | allowed | yes | no |
+//! | [`resolve_repeated_run`] | figures of a run | refused | no | yes |
+//! | [`resolve_with_builtin_policy`] | other figures, training, tuning | refused | no | no |
+//!
+//! All end in [`resolve_options`], except `--resume`, which loads the scenario of the folder. `experiment` and
+//! `analyse::lists` read the options of sweeps and studies.
 
 use std::path::{Path, PathBuf};
 
@@ -42,15 +51,16 @@ pub(super) fn resolve_started_run(
     Ok((load_with_external(&path.to_string_lossy(), &[])?.scenario, None))
 }
 
+/// Returns the scenario of a run that does not resume, and the inputs in the log of `--policy replay=FILE`, if given.
 fn resolve_new_run(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
-    let given_path = args
+    let replayed_path = args
         .policy
         .as_ref()
         .and_then(|policy| policy.strip_prefix(REPLAY_PREFIX));
-    let Some(given_path) = given_path.map(Path::new) else {
+    let Some(replayed_path) = replayed_path.map(Path::new) else {
         return Ok((resolve_options(args, load_with_external)?, None));
     };
-    let log_path = find_replay_log(given_path)?;
+    let log_path = find_replay_log(replayed_path)?;
     let mut args = ScenarioArgs {
         policy: None,
         ..args.clone()
@@ -72,7 +82,7 @@ fn resolve_new_run(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<Exte
             Some(InputLogError::Scenario) => "; use the scenario and seed of the logged run",
             _ => "",
         };
-        anyhow!("--policy {REPLAY_PREFIX}{}: {error:#}{hint}", given_path.display())
+        anyhow!("--policy {REPLAY_PREFIX}{}: {error:#}{hint}", replayed_path.display())
     })?;
     Ok((scenario, Some(inputs)))
 }
@@ -113,11 +123,11 @@ pub(super) fn resolve_repeated_run(run: Option<&Path>, args: &ScenarioArgs) -> a
     let Some(run) = run else {
         return resolve_with_builtin_policy(args);
     };
-    let mut file = run.to_owned();
+    let mut scenario_file = run.to_owned();
     if run.is_dir() {
-        file = run.join(SCENARIO_FILE);
+        scenario_file = run.join(SCENARIO_FILE);
         anyhow::ensure!(
-            file.is_file(),
+            scenario_file.is_file(),
             "{}: the folder holds no run; name a run folder or a scenario file",
             run.display()
         );
@@ -129,12 +139,12 @@ pub(super) fn resolve_repeated_run(run: Option<&Path>, args: &ScenarioArgs) -> a
         }
     }
     resolve_with_builtin_policy(&ScenarioArgs {
-        scenario: file.to_string_lossy().into_owned(),
+        scenario: scenario_file.to_string_lossy().into_owned(),
         ..args.clone()
     })
 }
 
-/// Returns the command line's scenario, with a policy of this program.
+/// Returns the command line's scenario. Its policy must be one of this program.
 pub(super) fn resolve_with_builtin_policy(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let resolved = resolve_options(args, load);
     // Loads the scenario again to find out whether the policy `external` is the only problem.
@@ -147,9 +157,14 @@ pub(super) fn resolve_with_builtin_policy(args: &ScenarioArgs) -> anyhow::Result
     resolved
 }
 
+/// Returns the scenario of the options, loaded with `load_scenario`, which decides whether policy `external` is valid.
+/// Logs the warnings.
+///
+/// # Errors
+/// If an option is invalid or contradicts `--set`, or the scenario is invalid.
 fn resolve_options(
     args: &ScenarioArgs,
-    loader: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
+    load_scenario: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
 ) -> anyhow::Result<Scenario> {
     if let Some(list) = args.policy.as_ref().filter(|policy| policy.contains(',')) {
         anyhow::bail!("--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`");
@@ -183,7 +198,7 @@ fn resolve_options(
             overrides.push(Override::from_flag("--learn", &field, "true")?);
         }
     }
-    let Loaded { scenario, warnings } = loader(&args.scenario, &overrides)?;
+    let Loaded { scenario, warnings } = load_scenario(&args.scenario, &overrides)?;
     let name = scenario.policy.name();
     let learns = registry::named(name).is_some_and(|policy| policy.learns);
     if args.learn && !learns {

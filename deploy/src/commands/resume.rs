@@ -24,9 +24,10 @@ use crate::resume_mark;
 
 /// The start of a run, or the point at which it resumes.
 pub(super) struct ResumePlan {
-    /// The external inputs before that point.
+    /// The known external inputs. A new run gets them from another run or a script, a resumed run from its log. Inputs
+    /// after the resume TTI stay queued.
     pub inputs: ExternalInputs,
-    /// The log for later inputs.
+    /// The log for later inputs; it holds `inputs` already.
     pub log: InputLog,
     /// The resume mark that the replay must reproduce. The mark writer, an observer of the replay, compares it.
     pub mark: Option<ResumeMark>,
@@ -55,7 +56,7 @@ impl ResumePlan {
     /// Creates the plan to resume the `prepared` run in this `folder`.
     ///
     /// # Errors
-    /// If the folder cannot be read or does not match the run, or `progress` asks the run to stop.
+    /// If the folder cannot be read or written or does not match the run, or `progress` asks the run to stop.
     pub(super) fn from_folder(
         folder: &Path,
         prepared: &PreparedRun,
@@ -70,9 +71,9 @@ impl ResumePlan {
         // least the TTI after it.
         let after_last_removal = inputs.removals.last().map(|removal| removal.tti + 1);
         let mut resume_tti = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_removal);
-        if let Some(to) = resume_tti
+        if let Some(known_end) = resume_tti
             && outside::is_external(&scenario.policy)
-            && let Some(tti) = first_undecided(prepared, &inputs, to, progress)?
+            && let Some(tti) = first_undecided(prepared, &inputs, known_end, progress)?
         {
             // The run was killed in a TTI with lost devices, or a power cut took the last decisions.
             note!("{INPUT_LOG_FILE} ends at TTI {tti}; resuming from there");
@@ -92,34 +93,40 @@ impl ResumePlan {
     }
 }
 
-/// The first TTI before `to` with a missing decision, if any.
+/// Finds the first TTI before `end` for which `inputs` lack a decision, if any.
 fn first_undecided(
     prepared: &PreparedRun,
     inputs: &ExternalInputs,
-    to: Tti,
+    end: Tti,
     progress: &RunProgress,
 ) -> anyhow::Result<Option<Tti>> {
     // A trial without observers: `replay` shows them the run afterwards.
     let mut run = Run::new(prepared, RunOptions::default());
     run.schedule_inputs(inputs);
-    advance_to(&mut run, to, progress, &mut ())?;
+    advance_to(&mut run, end, progress, &mut ())?;
     Ok(run.missing_decision())
 }
 
 /// Advances `run` to TTI `to`. Returns false if it ends earlier, because a decision is missing or `observer` ends it.
+///
+/// # Errors
+/// If `progress` asks the run to stop.
 fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<bool> {
-    let is_stopped = || progress.is_stop_requested();
+    let is_stop_requested = || progress.is_stop_requested();
     let has_reached = advance(run, to, observer, |next| {
         progress.next_tti.store(next.0, Ordering::Relaxed);
-        !is_stopped()
+        !is_stop_requested()
     });
-    ensure!(has_reached || !is_stopped(), Interrupted::DURING_REPLAY);
+    ensure!(has_reached || !is_stop_requested(), Interrupted::DURING_REPLAY);
     Ok(has_reached)
 }
 
 /// Replays a run up to TTI `to` in memory, with the `window` of its first part. Returns it with its devices; later
 /// decisions and actions stay queued. If `observer` ends the replay, the run returned has diverged from its mark, and
-/// must not continue.
+/// must not continue: `ResumeMarkWriter::check` returns the error.
+///
+/// # Errors
+/// If `progress` asks the run to stop, or a logged removal did not take effect.
 pub(super) fn replay(
     prepared: &PreparedRun,
     inputs: &ExternalInputs,

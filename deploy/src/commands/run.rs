@@ -45,7 +45,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     crate::run_watchers::check(&args.output)?;
     // Read before the folder is created: a log that does not match leaves no folder behind.
-    let named_inputs = read_named_inputs(args, &scenario, recorded_inputs)?;
+    let given_inputs = read_given_inputs(args, &scenario, recorded_inputs)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
@@ -59,14 +59,14 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             .as_ref()
             .map_or_else(|| window_length(&args.output, &scenario), |mark| mark.window),
     };
-    let inputs = run_inputs(named_inputs, &folder, &scenario)?;
+    let inputs = store_or_read_inputs(given_inputs, &folder, &scenario)?;
     let mut mark_writer = ResumeMarkWriter::new(folder.path(), &scenario, options.window, mark);
     let progress = Arc::new(RunProgress::default());
     // The worker serves metrics; the run itself stays on this thread.
     let runtime = crate::runtime::runtime(1)?;
-    let name = folder.name();
-    let watchers = RunWatchers::start(&args.output, &name, &scenario, ProcessStats::default);
-    let watchers = match runtime.block_on(watchers) {
+    let run_name = folder.name();
+    let watchers_start = RunWatchers::start(&args.output, &run_name, &scenario, ProcessStats::default);
+    let watchers = match runtime.block_on(watchers_start) {
         Ok(watchers) => watchers,
         Err(error) => {
             folder.fail(&error);
@@ -95,7 +95,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         progress: &progress,
         signals: &signals,
         devices: scenario.run.devices,
-        removal_count: 0,
+        removal_notices: 0,
     };
     let mut observers = (&mut run_observers, &mut mark_writer);
     let has_reached_end = advance(&mut run, Tti(scenario.run.ttis), &mut observers, |_| {
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     // A resumed run is replayed from TTI 0 in memory, and must have reproduced its mark by now.
     mark_writer.check()?;
-    let has_used_all_inputs = unused_decisions == 0 && run_observers.removal_count == inputs.removals.len();
+    let has_used_all_inputs = unused_decisions == 0 && run_observers.removal_notices == inputs.removals.len();
     ensure!(!outcome.is_complete || has_used_all_inputs, input_log::MISMATCH);
     let mark_finished = mark_writer.finish(outcome.is_complete);
     let run_s = started.elapsed().as_secs_f64();
@@ -138,9 +138,9 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     print_results(&args.output, &summary, &path)
 }
 
-/// Returns the external inputs that the command line names: the inputs of `--input-log`, or the `recorded_inputs` of
-/// `--policy replay=FILE` and a script of actions. Returns `None` if it names none.
-fn read_named_inputs(
+/// Returns the external inputs of the command line: the inputs of `--input-log`, or the `recorded_inputs` of
+/// `--policy replay=FILE` and a script of actions. Returns `None` without such an option.
+fn read_given_inputs(
     args: &RunArgs,
     scenario: &Scenario,
     recorded_inputs: Option<ExternalInputs>,
@@ -172,13 +172,14 @@ fn read_named_inputs(
     Ok(Some(inputs))
 }
 
-/// Returns the external inputs of the run: those in its folder, or the `named_inputs`, which are copied there.
-fn run_inputs(
-    named_inputs: Option<ExternalInputs>,
+/// Returns the external inputs of the run: the `given_inputs` of the command line, copied to the log in its folder,
+/// else the inputs in that log.
+fn store_or_read_inputs(
+    given_inputs: Option<ExternalInputs>,
     folder: &RunFolder,
     scenario: &Scenario,
 ) -> anyhow::Result<ExternalInputs> {
-    let Some(inputs) = named_inputs else {
+    let Some(inputs) = given_inputs else {
         return input_log::read_folder(folder.path(), scenario);
     };
     InputLog::new(folder.path(), scenario).add_all(&inputs)?;
@@ -201,7 +202,7 @@ fn prepare_on_thread(scenario: &Scenario, options: RunOptions, signals: &Signals
 }
 
 /// Runs to TTI `to`, as [`Run::advance`] does, and returns whether it got there. Regularly asks `may_continue` whether
-/// to continue with the next TTI.
+/// to continue with the next TTI. `resume` uses it too.
 pub(crate) fn advance(
     run: &mut Run,
     to: Tti,
@@ -223,6 +224,9 @@ pub(crate) fn advance(
 }
 
 /// The observers of a run: they write tables, record, and show the progress.
+///
+/// A method of [`Observer`] without forwarding here is ignored, without an error. `batteries_revealed` has none: only
+/// an audit over the bus needs it.
 struct RunObservers<'a, F, W> {
     frame_observer: Option<FrameObserver<F>>,
     watchers: W,
@@ -230,12 +234,13 @@ struct RunObservers<'a, F, W> {
     progress: &'a RunProgress,
     signals: &'a Signals,
     devices: u32,
-    removal_count: usize,
+    /// Number of removals that took effect.
+    removal_notices: usize,
 }
 
 impl<F: FnMut(Frame), W: Observer> Observer for RunObservers<'_, F, W> {
     fn notify(&mut self, notification: &Notification<'_>) {
-        self.removal_count += usize::from(matches!(notification, Notification::DevicesRemoved(_)));
+        self.removal_notices += usize::from(matches!(notification, Notification::DevicesRemoved(_)));
         self.folder.notify(notification);
         self.frame_observer.notify(notification);
         self.watchers.notify(notification);

@@ -1,5 +1,6 @@
 //! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference. The
-//! reference is `docs/scenario.md`; `bs/src/scenario/` makes it and compares the page in a test.
+//! reference is `docs/scenario.md`; `bs/src/scenario/` makes it and compares the page in a test. `docs/scenarios.md`
+//! and `docs/tutorial.md` show the text of `check`.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -40,6 +41,7 @@ pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
     }
 }
 
+/// Checks every source, and prints the energy balance of each valid one. A failed source sets the exit code.
 fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode> {
     let mut code = ExitCode::SUCCESS;
     for source in sources {
@@ -68,7 +70,7 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
     Ok(code)
 }
 
-/// Prints the warnings about a scenario.
+/// Prints the warnings about the scenario `source` on standard error.
 fn print_warnings(source: &str, warnings: &[String]) {
     for warning in warnings {
         note!("{source}: warning: {warning}");
@@ -87,6 +89,7 @@ fn write_or_print(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Parses the arguments of `--set`.
 fn parse_overrides(set: &[String]) -> anyhow::Result<Vec<Override>> {
     Ok(set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?)
 }

@@ -1,6 +1,7 @@
 //! `reveille tune`: Bayesian optimisation of the q-learning weights μ1, μ2 with `lab/src/tuning/`. The history file
 //! holds every finished point; an interrupted tuning resumes from it. `training_command` must repeat every option that
-//! affects the training of tables. Programs of users read the keys of `--json`.
+//! affects the training of tables. Programs of users read the keys of `--json`. A point is a pair of weights with its
+//! evaluation.
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;
@@ -31,14 +32,14 @@ const CLOSING_TABLE_POINTS: usize = 5;
 
 /// Starts, resumes or draws a tuning.
 pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
-    let history = args.picture_only.as_ref().unwrap_or(&args.out);
-    if history
+    let history_path = args.picture_only.as_ref().unwrap_or(&args.out);
+    if history_path
         .extension()
         .is_some_and(|extension| extension == "svg" || extension == "png")
     {
         bail!(
             "{}: the history is a CSV file and its picture gets the same name; use a name that ends in .csv",
-            history.display()
+            history_path.display()
         );
     }
     if let Some(path) = &args.picture_only {
@@ -48,7 +49,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
-    let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
+    let mut tuner = Tuner::open(tuning_plan(args)?, &args.out, args.force)?;
     report_found(args, &tuner);
     let threads = args.episodes.threads()?;
     let signals = Signals::install(SignalMode::SavesResults)?;
@@ -82,7 +83,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Checks the command line and returns the tuning plan.
-fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
+fn tuning_plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
     let ranges = Ranges::new(args.mu1, args.mu2)?;
     let plan = TuningPlan {
         scenario: resolve_with_builtin_policy(&args.scenario()?)?,
@@ -152,6 +153,10 @@ fn draw_pictures(history: &History, path: &Path, formats: &[ImageFormatArg]) -> 
     Ok(files)
 }
 
+/// Returns the best point, the first of equal ones.
+///
+/// # Errors
+/// If the history is empty.
 fn best_point(history: &History) -> anyhow::Result<&TuningPoint> {
     let best_index = history.ranked().first().copied();
     best_index
@@ -162,7 +167,7 @@ fn best_point(history: &History) -> anyhow::Result<&TuningPoint> {
 /// The command line that trains tables with the best weights, with the settings of this tuning.
 fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     let mut text = format!("reveille train q-learning --devices {}", args.devices);
-    // The default of `train q-learning`.
+    // The default of `train q-learning` in `cli/train.rs`.
     if args.scenario != "paper" {
         let _ = write!(text, " --scenario {}", args.scenario);
     }
@@ -189,7 +194,7 @@ fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     text
 }
 
-/// Formats the closing table.
+/// Formats the setup, the closing table of the best points, and the command that trains with the best weights.
 fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header([
@@ -202,28 +207,28 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
         "energy",
         "wake-ups",
     ]);
-    let with_half_width = |mean: f64, half: f64| {
-        if half.is_nan() {
+    let format_with_half_width = |mean: f64, half_width: f64| {
+        if half_width.is_nan() {
             format_significant(mean, 4)
         } else {
-            let decimals = decimals_for(half, 2);
-            format!("{mean:.decimals$} ± {half:.decimals$}")
+            let decimals = decimals_for(half_width, 2);
+            format!("{mean:.decimals$} ± {half_width:.decimals$}")
         }
     };
     for index in history.ranked().into_iter().take(CLOSING_TABLE_POINTS) {
         let TuningPoint {
             weights: [mu1, mu2],
-            evaluation: e,
+            evaluation,
         } = &history.points[index];
         table.add_row([
             (index + 1).to_string(),
             mu1.to_string(),
             mu2.to_string(),
-            with_half_width(e.objective, e.objective_half_width),
-            with_half_width(e.information, e.information_half_width),
-            format_significant(e.misdetection_pct, 4),
-            format_significant(e.energy, 4),
-            format_significant(e.wake_ups, 4),
+            format_with_half_width(evaluation.objective, evaluation.objective_half_width),
+            format_with_half_width(evaluation.information, evaluation.information_half_width),
+            format_significant(evaluation.misdetection_pct, 4),
+            format_significant(evaluation.energy, 4),
+            format_significant(evaluation.wake_ups, 4),
         ]);
     }
     for column in table.column_iter_mut() {
@@ -246,9 +251,9 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
     ))
 }
 
-/// Returns the result as JSON.
+/// Returns the result as JSON. The keys of a point include `Evaluation::NAMES`, which are also columns of the history.
 fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
-    let point = |index: usize| {
+    let point_json = |index: usize| {
         let TuningPoint { weights, evaluation } = history.points[index];
         let mut point = json!({"point": index + 1, "mu1": weights[0], "mu2": weights[1]});
         for (name, value) in Evaluation::NAMES.iter().zip(evaluation.values()) {
@@ -264,8 +269,8 @@ fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyh
     let best_index = history.ranked().first().copied();
     let text = serde_json::to_string_pretty(&json!({
         "tuning": settings,
-        "best": best_index.map(point),
-        "points": (0..history.points.len()).map(point).collect::<Vec<_>>(),
+        "best": best_index.map(point_json),
+        "points": (0..history.points.len()).map(point_json).collect::<Vec<_>>(),
         "command": training_command(args, best_point(history)?.weights),
         "history": args.out,
         "pictures": pictures,
@@ -273,31 +278,31 @@ fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyh
     Ok(text + "\n")
 }
 
-/// The progress display.
+/// The progress bar of a tuning, which a signal stops.
 struct TuningDisplay {
     bar: ProgressBar,
     signals: Signals,
     /// The best objective so far, with its pair.
     best_point: Mutex<Option<(f64, WeightPair)>>,
     /// The number of evaluation runs of each pair.
-    runs: u64,
+    runs_per_pair: u64,
 }
 
 impl TuningDisplay {
     fn start(args: &TuneArgs, tuner: &Tuner, signals: Signals) -> Self {
         // A point is trained for all episodes, then evaluated by one run per seed; both advance the bar.
-        let steps = args.episodes.episodes + args.seeds;
+        let steps_per_point = args.episodes.episodes + args.seeds;
         let best_index = tuner.history().ranked().first().copied();
         let points = &tuner.history().points;
         Self {
             bar: display::new_bar(
-                tuner.pairs_left(args.iterations) as u64 * steps,
+                tuner.pairs_left(args.iterations) as u64 * steps_per_point,
                 "{bar:24} {percent} %  {eta} left  {msg}",
                 args.quiet,
             ),
             signals,
             best_point: Mutex::new(best_index.map(|index| (points[index].evaluation.objective, points[index].weights))),
-            runs: args.seeds,
+            runs_per_pair: args.seeds,
         }
     }
 
@@ -316,7 +321,7 @@ impl TuningProgress for TuningDisplay {
         self.bar.set_message(format!(
             "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){best_text}",
             number + 1,
-            self.runs
+            self.runs_per_pair
         ));
     }
 
@@ -336,7 +341,7 @@ impl TuningProgress for TuningDisplay {
         }
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

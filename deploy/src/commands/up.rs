@@ -12,7 +12,7 @@ use reveille_common::bus::{self, Bus, draw_secret, scaled_timeout};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostConfig, HostError};
 
-use super::bs::{Service, check_watchers, serve_run, server_settings};
+use super::bs::{RunService, check_observers, serve_run, server_settings};
 use super::device::CHILD_PATIENCE;
 use super::resolve_scenario::resolve_started_run;
 use super::window_length;
@@ -44,7 +44,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     if processes == 0 && args.drive.on_loss != OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
-    check_watchers(&args.output, &args.drive)?;
+    check_observers(&args.output, &args.drive)?;
     let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
@@ -54,7 +54,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, processes, &folder).await {
         Ok((bus, run)) => {
-            let service = Service {
+            let service = RunService {
                 settings: ServerConfig {
                     join_timeout: Some(scaled_timeout(JOIN_TIMEOUT, processes)),
                     run_key: Some(draw_secret()?),
@@ -96,7 +96,7 @@ async fn listen(args: &UpArgs, processes: u32, folder: &RunFolder) -> anyhow::Re
 /// Serves the run to devices in this process or in `processes` others.
 async fn serve_with_devices(
     processes: u32,
-    service: &Service<'_>,
+    service: &RunService<'_>,
     folder: RunFolder,
     (is_untuned, log_options): (bool, &[String]),
 ) -> anyhow::Result<ExitCode> {

@@ -81,7 +81,7 @@ impl Actor {
         let answer = match sensed {
             SenseOutcome::Nothing => DeviceAnswer::Nothing,
             SenseOutcome::Unpowered => DeviceAnswer::Unpowered,
-            SenseOutcome::Failed(failure) => DeviceAnswer::Failed(failure),
+            SenseOutcome::TransmissionFailed(failure) => DeviceAnswer::Failed(failure),
             SenseOutcome::Reported(report) => {
                 // Sent before the part is added, since the answer must follow the reports whose number it states.
                 self.uplink.send_report(&report);

@@ -1,5 +1,6 @@
 //! Choice of the thread that processes a host's messages, by the capacity of its process: the largest number of devices
-//! that it may run. `forces_worker` overrides this rule.
+//! that it may run. `forces_worker` overrides this rule. `join` creates the dispatcher; `host/mod.rs` feeds it from the
+//! subscriptions and handles each message.
 //!
 //! A host with a small capacity processes a message on the thread that delivers it. This saves a thread switch per
 //! message, which is most of the cost of a quiet TTI. The same thread also empties the link's queue, because device
@@ -13,8 +14,9 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::{ClockMessage, PlanUpdate, WakeUp};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 
-/// Largest capacity with which a host processes messages on the delivering thread. The ledgers of 256 devices (at
-/// most 250 B each) or their reports, with keys, fill at most half of the link's queue.
+/// Largest capacity with which a host processes messages on the delivering thread. The ledgers of 256 devices (at most
+/// 250 B each) or their reports, with keys, fill at most half of the link's queue. A longer ledger or report lowers
+/// this number. `docs/design.md` and `docs/command-line.md` repeat it.
 pub(super) const MAX_INLINE_DEVICES: u32 = 256;
 
 /// A message from the base station to a host.
@@ -32,15 +34,17 @@ pub(super) enum HostMessage {
 pub(super) enum Dispatcher {
     /// Processes a message on the thread that delivers it.
     Inline(Arc<dyn Fn(HostMessage) + Send + Sync>),
-    /// Processes a message in a task of the process's own runtime.
+    /// Processes a message in one task of the runtime on which the dispatcher was created.
     Worker(UnboundedSender<HostMessage>),
 }
 
 impl Dispatcher {
     /// Creates the dispatcher of a host whose process has this `capacity`, with `handle` for each message. It uses
     /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `forces_worker`. `--untuned` sets
-    /// `forces_worker`; a takeover does if the total capacity of the process is above the limit. Call it on the
-    /// runtime of the process.
+    /// `forces_worker`; a takeover does if the total capacity of the process is above the limit.
+    ///
+    /// # Panics
+    /// If it uses another thread and is not called on a tokio runtime.
     pub(super) fn new(
         capacity: u32,
         forces_worker: bool,
@@ -65,7 +69,7 @@ impl Dispatcher {
             Self::Inline(handle) => handle(message),
             Self::Worker(sender) => {
                 // The task ends early only with a panic, which the panic hook prints.
-                let _gone = sender.send(message).is_err();
+                let _closed = sender.send(message).is_err();
             }
         }
     }
@@ -80,7 +84,8 @@ mod tests {
 
     use super::*;
 
-    /// Dispatches wake-ups of TTIs 0 to 9. Returns their TTIs in the order of handling, each with its thread.
+    /// Dispatches wake-ups of TTIs 0 to 9 from this thread. Returns their TTIs in the order of handling, each with the
+    /// thread that handled it.
     fn handle_ten_messages(capacity: u32, forces_worker: bool) -> Vec<(Tti, ThreadId)> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)

@@ -1,5 +1,7 @@
 //! Joins a host to a run, and again for lost devices if it has spare capacity. [`run_host`] is the entry point of a
-//! host process; `host/mod.rs` runs the assignment, and `bs/src/server/join.rs` is the other side of a join request.
+//! host process (`deploy/src/commands/device.rs`), and of `up` without one; `host/mod.rs` runs the assignment.
+//! `bs/src/server/join.rs` answers join requests, and `subscriptions.rs` there the query [`Ready`], with which a host
+//! with all its subscriptions begins.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -19,7 +21,7 @@ const RETRY_PAUSE: Duration = Duration::from_millis(250);
 /// The settings of a host process.
 #[derive(Clone, Debug)]
 pub struct HostConfig {
-    /// The largest number of devices that the host runs.
+    /// The largest number of devices that the process runs, lost ones included.
     pub max_devices: u32,
     /// The host's name in messages to the operator.
     pub name: String,
@@ -27,17 +29,25 @@ pub struct HostConfig {
     pub key: Option<Secret>,
     /// The time limit for joining the run, and for waiting for a lost base station.
     pub patience: Duration,
-    /// Whether the host also takes over devices of lost hosts, up to its spare capacity.
+    /// Whether the host also takes over devices of lost hosts, up to its spare capacity, and waits for them if all
+    /// devices have a host.
     pub stands_by: bool,
-    /// Whether a separate thread processes the host's messages, even if the delivering thread could do it.
+    /// Whether a separate thread processes the host's messages, even if the delivering thread could do it (`dispatch`).
     pub forces_worker: bool,
 }
 
-/// An event that a host process reports to its caller.
+/// An event that a host process reports to its caller. A takeover of lost devices reports none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HostEvent {
-    /// The host has joined with this id; its assignment runs from the first device to the last one.
-    Joined(HostId, DeviceId, DeviceId),
+    /// The host has joined.
+    Joined {
+        /// The host's id.
+        host: HostId,
+        /// The first device of its assignment.
+        first: DeviceId,
+        /// The last device of its assignment.
+        last: DeviceId,
+    },
     /// All devices are assigned to other hosts; the host waits for lost ones.
     StandsBy,
 }
@@ -46,9 +56,11 @@ pub enum HostEvent {
 type HostFuture<'a> = Pin<Box<dyn Future<Output = Result<(), HostError>> + Send + 'a>>;
 
 /// Joins the run of `bus`, runs devices to the end of the run, and leaves. `on_event` receives the events on the way.
+/// After the loss of its devices to another host, it requests others. Its future needs a tokio runtime.
 ///
 /// # Errors
-/// If the run is not found within the patience of `config`, or the base station refuses or is lost.
+/// If the run is not found within the patience of `config`, the base station refuses, sends an invalid assignment or is
+/// lost, the run or the bus fails, or a device task panics.
 pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(HostEvent) + Sync)) -> HostFuture<'a> {
     Box::pin(async move {
         loop {
@@ -102,7 +114,7 @@ async fn run_with_takeovers(
     }
 }
 
-/// Asks for an assignment until it gets one. Returns `None` if the run ends first.
+/// Asks for an assignment until it gets one, which is valid. Returns `None` if the run ends first.
 async fn request_assignment(
     bus: &Bus,
     config: &HostConfig,
@@ -114,26 +126,26 @@ async fn request_assignment(
         nonce: draw_nonce()?,
         name: config.name.clone(),
     };
-    let mut has_stood_by = false;
+    let mut is_standing_by = false;
     loop {
         match bus.query_until(&request, config.key, config.patience).await {
             Ok(Some(JoinReply::Welcome(assignment))) => {
                 assignment.validate().map_err(HostError::Assignment)?;
                 return Ok(Some(*assignment));
             }
-            Ok(Some(JoinReply::Retry(why))) if config.stands_by => {
-                if !has_stood_by {
-                    tracing::info!("{why}");
+            Ok(Some(JoinReply::Retry(reason))) if config.stands_by => {
+                if !is_standing_by {
+                    tracing::info!("{reason}");
                     on_event(HostEvent::StandsBy);
                 }
-                has_stood_by = true;
+                is_standing_by = true;
                 tokio::time::sleep(RETRY_PAUSE).await;
             }
-            Ok(Some(JoinReply::Retry(why) | JoinReply::Refused(why))) | Err(BusError::Refused(why)) => {
-                return Err(HostError::Refused(why));
+            Ok(Some(JoinReply::Retry(reason) | JoinReply::Refused(reason))) | Err(BusError::Refused(reason)) => {
+                return Err(HostError::Refused(reason));
             }
             // The base station has answered before, so its run is over.
-            Ok(None) if has_stood_by => return Ok(None),
+            Ok(None) if is_standing_by => return Ok(None),
             Ok(None) => return Err(bus.no_run_error().await.into()),
             Err(error) => return Err(error.into()),
         }
@@ -150,11 +162,11 @@ async fn run_assignment(
     let patience = config.patience;
     let credential = assignment.credentials.credential;
     let host = credential.host;
-    // `HostSetup::validate` has refused an empty list.
+    // `HostSetup::validate` has refused an empty list and ids with gaps.
     let (first, count) = (assignment.devices[0].id, assignment.devices.len() as u32);
     let last = DeviceId(first.0 + count - 1);
     tracing::info!(%host, %first, %last, "joined");
-    on_event(HostEvent::Joined(host, first, last));
+    on_event(HostEvent::Joined { host, first, last });
     let bus = bus.with_secret(assignment.credentials.secret);
     let shared = Arc::new(HostShared::new(&bus, assignment)?);
     let message_handler = Arc::clone(&shared);

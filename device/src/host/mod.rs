@@ -1,8 +1,9 @@
 //! A host process: joins a run, runs the devices of its assignment, and answers the grants for all of them.
 //!
-//! In a TTI without a stimulus the host answers immediately; its devices catch up when they are next needed. In a TTI
-//! with a stimulus it sends commands to the actors of the devices that have δ = 1 and are within range. The last of
-//! them to finish sends the answer. An actor must receive its commands in the order of the steps within a TTI.
+//! A grant covers one or more TTIs. Without a stimulus the host answers it immediately; its devices catch up when they
+//! are next needed. With a stimulus, which is in the last TTI, it sends commands to the actors of the devices that have
+//! δ = 1 and are within range. A grant that wants totals or views needs all actors. The last actor to finish sends the
+//! answer. An actor must receive its commands in the order of the steps within a TTI.
 
 pub(crate) mod actor;
 pub mod answer_round;
@@ -67,15 +68,19 @@ pub enum HostError {
     },
 }
 
-/// The progress of a host from joining to its exit.
+/// The progress of a host from joining to its exit. The last three are final.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum HostStatus {
     Running,
+    /// No base station is alive.
     BsMissing,
-    /// The base station, or its replacement, is back.
+    /// A base station is back, but may be a new one that does not know this host.
     BsBack,
+    /// A device task has panicked.
     DeviceFailed,
+    /// The base station reports the end of the run.
     Dismissed,
+    /// The base station reports that the run has failed, with the reason.
     RunFailed(String),
 }
 
@@ -103,8 +108,9 @@ struct HostShared {
     credentials: BusCredentials,
     /// The runtime of the actors if the thread that starts them has none.
     fallback_runtime: Handle,
-    /// The first device.
-    first: DeviceId,
+    /// The first device of the assignment, whose ids are consecutive.
+    first_device: DeviceId,
+    /// The senders to the actors. Index `j` is the offset of a device from `first_device`, here and in tasks.
     mailboxes: Vec<UnboundedSender<DeviceCommand>>,
     uplink: Arc<Uplink>,
     state: Mutex<HostState>,
@@ -120,6 +126,7 @@ struct HostState {
 }
 
 impl HostShared {
+    /// Creates the host of `assignment`, which `HostSetup::validate` has accepted, on the current tokio runtime.
     fn new(bus: &Bus, assignment: HostSetup) -> Result<Self, HostError> {
         let HostSetup {
             credentials,
@@ -144,9 +151,9 @@ impl HostShared {
                 .collect::<Result<_, _>>()
                 .map_err(HostError::Assignment)?,
         };
-        let first = devices.first().map_or(DeviceId(0), |d| d.id);
+        let first_device = devices.first().map_or(DeviceId(0), |d| d.id);
         let start = FollowerStart {
-            first,
+            first: first_device,
             positions: devices.iter().map(|d| d.position).collect(),
             duties: machines.iter().map(Machine::duty).collect(),
             resume_point: checkpoint.map_or(ResumePoint::default(), |checkpoint| checkpoint.at),
@@ -166,7 +173,7 @@ impl HostShared {
         Ok(Self {
             credentials,
             fallback_runtime: Handle::current(),
-            first,
+            first_device,
             mailboxes,
             uplink,
             state,
@@ -201,10 +208,10 @@ impl HostShared {
     async fn wait_for_exit(&self, bus: &Bus, patience: Duration) -> Result<HostExit, HostError> {
         let mut status = self.status.subscribe();
         loop {
-            let now = status.borrow_and_update().clone();
-            let changed = match now {
+            let current = status.borrow_and_update().clone();
+            let has_changed = match current {
                 HostStatus::Dismissed => return Ok(HostExit::Dismissed),
-                HostStatus::RunFailed(why) => return Err(HostError::RunFailed(why)),
+                HostStatus::RunFailed(reason) => return Err(HostError::RunFailed(reason)),
                 HostStatus::DeviceFailed => return Err(HostError::DeviceFailed),
                 HostStatus::Running => status.changed().await.is_ok(),
                 HostStatus::BsMissing => tokio::time::timeout(patience, status.changed()).await.is_ok(),
@@ -223,7 +230,8 @@ impl HostShared {
                     true
                 }
             };
-            if !changed {
+            // Only a wait for a missing base station ends without a change.
+            if !has_changed {
                 return Err(HostError::BsLost {
                     run: bus.key_exprs().run().to_string(),
                     tti: self.lock().follower.last_granted(),
@@ -270,6 +278,8 @@ impl HostShared {
     }
 
     /// Processes a message. Calls must not overlap: the link and [`Dispatcher`] deliver messages one by one, in order.
+    /// Overlapping calls would mix the commands of two messages in a mailbox, because commands are sent without the
+    /// lock.
     fn dispatch(&self, message: HostMessage) {
         match message {
             HostMessage::Plan(update) => self.on_plan(update),
@@ -306,7 +316,7 @@ impl HostShared {
             ClockMessage::Act(tti, changes) => self.on_changes(tti, changes),
             ClockMessage::CollectLedgers(end) => self.on_collect_ledgers(end),
             ClockMessage::Dismiss => self.record_run_end(HostStatus::Dismissed),
-            ClockMessage::RunFailed(why) => self.record_run_end(HostStatus::RunFailed(why)),
+            ClockMessage::RunFailed(reason) => self.record_run_end(HostStatus::RunFailed(reason)),
         }
     }
 
@@ -319,7 +329,7 @@ impl HostShared {
     }
 
     fn on_grant(&self, grant: GrantMessage) {
-        let Some((state, task)) = self.take_task(|follower| follower.receive_grant(grant)) else {
+        let Some((state, task)) = self.accept_request(|follower| follower.receive_grant(grant)) else {
             return;
         };
         let GrantTask {
@@ -327,9 +337,10 @@ impl HostShared {
             duty_changes,
             sensing_devices,
         } = task;
+        // One part for each command with `round` below: with fewer commands the answer would never be complete.
         let parts_per_device = usize::from(grant.wants_totals) + usize::from(grant.wants_views);
-        let parts = parts_per_device * self.mailboxes.len() + sensing_devices.len();
-        let round = self.open_round(state, HostRequest::Grant(grant.last), parts);
+        let device_parts = parts_per_device * self.mailboxes.len() + sensing_devices.len();
+        let round = self.open_round(state, HostRequest::Grant(grant.last), device_parts);
         // The order matters: `AdvanceTo(first)` would panic after a later δ, and views show the state after sensing.
         if grant.wants_totals {
             for j in 0..self.mailboxes.len() {
@@ -340,7 +351,7 @@ impl HostShared {
             let is_concerned = |j: &usize| {
                 change
                     .devices()
-                    .is_some_and(|devices| devices.contains(DeviceId(self.first.0 + *j as u32)))
+                    .is_some_and(|devices| devices.contains(DeviceId(self.first_device.0 + *j as u32)))
             };
             for j in (0..self.mailboxes.len()).filter(is_concerned) {
                 self.send_command(j, DeviceCommand::Change(grant.first, change));
@@ -364,7 +375,7 @@ impl HostShared {
     }
 
     fn on_collect_ledgers(&self, end: Tti) {
-        let Some((state, ())) = self.take_task(|follower| follower.receive_collect_ledgers(end)) else {
+        let Some((state, ())) = self.accept_request(|follower| follower.receive_collect_ledgers(end)) else {
             return;
         };
         let round = self.open_round(state, HostRequest::Ledgers, self.mailboxes.len());
@@ -374,9 +385,9 @@ impl HostShared {
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
 
-    /// Returns the task of a request, if any, with the state still locked; [`Self::open_round`] releases it. A repeated
-    /// request gets the same answer again.
-    fn take_task<T>(
+    /// Accepts a request for the clock: returns the task of a new one, with the state still locked until
+    /// [`Self::open_round`]. A repeated request gets its earlier answer again, and has no task.
+    fn accept_request<T>(
         &self,
         follow: impl FnOnce(&mut GrantFollower) -> Disposition<T>,
     ) -> Option<(MutexGuard<'_, HostState>, T)> {
@@ -403,9 +414,16 @@ impl HostShared {
         }
     }
 
-    /// Opens the answer to a request, with one part of the host and `parts` parts of devices, and unlocks `state`.
-    fn open_round(&self, mut state: MutexGuard<'_, HostState>, request: HostRequest, parts: usize) -> Arc<AnswerRound> {
-        let round = Arc::new(AnswerRound::new(self.credentials.credential.host, request, parts));
+    /// Opens the answer to a request, with one part of the host and `device_parts` parts of devices, and unlocks
+    /// `state`.
+    fn open_round(
+        &self,
+        mut state: MutexGuard<'_, HostState>,
+        request: HostRequest,
+        device_parts: usize,
+    ) -> Arc<AnswerRound> {
+        let host = self.credentials.credential.host;
+        let round = Arc::new(AnswerRound::new(host, request, device_parts));
         state.round = Some(Arc::clone(&round));
         round
     }

@@ -1,4 +1,6 @@
-//! One device as a state machine without I/O. `lab/src/run.rs` calls it directly, `host` through its actors.
+//! One device as a state machine without I/O. `lab/src/run.rs` and `view/src/device_mirror.rs` call it directly, `host`
+//! through its actors. All of them must call it in the same way, or states diverge. Rules and costs are part of the
+//! digest; `tests/src/reference/device.rs` repeats them.
 //!
 //! ```text
 //!            δ = 1, pays E_idle                detects the event
@@ -17,12 +19,13 @@
 //! that empties its battery, the device still receives wake-up signals in that TTI.
 //!
 //! An operator can let the device fail. A failed device is in none of the states S1 to S4 and consumes no energy; its
-//! battery still receives harvest.
+//! battery still receives harvest. A removed device, whose host is lost, stays in S4, unpowered, with its ledger
+//! closed.
 //!
 //! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
 //! time ([`Machine::advance_to`]). The result must equal single steps: `machine/tests/step_by_step.rs` checks this for
 //! devices that never fail, `tests/tests/actions.rs` for others. Callers name TTIs in ascending order; a step back
-//! panics.
+//! panics, except for a removed device.
 
 use std::sync::Arc;
 
@@ -51,17 +54,18 @@ const MAX_SPAN_TTIS: u64 = 1 << 13;
 /// The outcome of a stimulus for a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SenseOutcome {
-    /// No effect: δ = 0, out of range, not detected, failed, or removed.
+    /// No effect: δ = 0, out of range, not detected, in S3 already, or a failed or removed device.
     Nothing,
     /// The device would have detected the event, but could not pay for S1.
     Unpowered,
     /// S1 → S2 → S3.
     Reported(Report),
-    /// S1 → S2 → S4.
-    Failed(FailedTransmission),
+    /// S1 → S2 → S4: the battery could not pay for the report.
+    TransmissionFailed(FailedTransmission),
 }
 
-/// The physics shared by all devices of a run.
+/// The physics shared by all devices of a run. Equal on every host; only `sources` covers the devices given to
+/// [`Self::new`].
 #[derive(Clone, Debug)]
 pub struct Physics {
     /// The seed of the run's streams.
@@ -77,8 +81,8 @@ pub struct Physics {
 }
 
 impl Physics {
-    /// Creates the physics of `devices`, with the streams of `seed`, measured from TTI `measured_from` on. `traces`
-    /// hold recorded energy per TTI, by row.
+    /// Creates the physics of `devices`, all devices of a run or of a host, with the streams of `seed`, measured from
+    /// TTI `measured_from` on. `traces` hold recorded energy per TTI, by row.
     pub fn new(
         seed: u64,
         measured_from: Tti,
@@ -130,16 +134,20 @@ pub struct Machine {
     is_removed: bool,
     /// Whether an operator has let the device fail.
     has_failed: bool,
-    /// The wake-up radio, if it can fail.
-    wake_up_radio: Option<Box<WakeUpRadio>>,
+    /// The faults of the wake-up radio; `None` if it never fails.
+    wake_up_faults: Option<Box<WakeUpFaults>>,
     /// The first TTI from `next` on with a false wake-up, if the device is in S4 then.
     next_false_wake_up: Tti,
 }
 
 impl Machine {
-    /// Creates the device of `setup` before TTI 0, asleep until a plan changes δ.
+    /// Creates the device of `setup` before TTI 0, asleep until a plan changes δ. `physics` must cover the device.
+    ///
+    /// # Panics
+    /// If the initial level exceeds E_max, or the energy source names an unknown trace. Loading a scenario and
+    /// `HostSetup::validate` rule both out.
     pub fn new(setup: &DeviceSetup, physics: &Physics) -> Self {
-        let wake_up_radio = WakeUpRadio::new(physics.seed, &physics.radio, setup.id);
+        let wake_up_faults = WakeUpFaults::new(physics.seed, &physics.radio, setup.id);
         Self {
             id: setup.id,
             position: setup.position,
@@ -153,10 +161,10 @@ impl Machine {
             ledger_builder: LedgerBuilder::new(physics.measured_from),
             is_removed: false,
             has_failed: false,
-            next_false_wake_up: wake_up_radio
+            next_false_wake_up: wake_up_faults
                 .as_ref()
-                .map_or(Tti::NEVER, |radio| radio.next_false_wake_up()),
-            wake_up_radio,
+                .map_or(Tti::NEVER, |faults| faults.next_false_wake_up()),
+            wake_up_faults,
         }
     }
 
@@ -174,7 +182,7 @@ impl Machine {
         }))
     }
 
-    /// Restores the device of `setup` from `checkpoint`.
+    /// Restores the device of `setup` from `checkpoint`, of the same run.
     ///
     /// # Errors
     /// If the checkpoint cannot be decoded, or its battery or its first measured TTI does not fit `setup` and
@@ -234,7 +242,10 @@ impl Machine {
         }
     }
 
-    /// Removes the device at the end of TTI `k` and closes its ledger.
+    /// Removes the device at the end of TTI `k` and closes its ledger. Every further step has no effect.
+    ///
+    /// # Panics
+    /// As for [`Self::begin`].
     pub fn remove(&mut self, k: Tti) {
         self.begin(k);
         self.advance_to(k + 1);
@@ -242,8 +253,11 @@ impl Machine {
         self.state = DeviceState::Sleep { powered: false };
     }
 
-    /// Makes `change` at the start of TTI `k`, which must not have begun. Without effect if the change concerns other
-    /// devices or a setting, or the device is removed.
+    /// Makes `change` at the start of TTI `k`. Without effect if the change concerns other devices or a setting, or the
+    /// device is removed.
+    ///
+    /// # Panics
+    /// If TTI `k` or a later one has already begun.
     pub fn apply(&mut self, k: Tti, change: &Change) {
         if self.is_removed || change.devices().is_none_or(|devices| !devices.contains(self.id)) {
             return;
@@ -257,7 +271,10 @@ impl Machine {
         }
     }
 
-    /// Sets δ to `duty` from TTI `from` on, which must not have begun.
+    /// Sets δ to `duty`, a valid cycle, from TTI `from` on.
+    ///
+    /// # Panics
+    /// If `duty` is new and TTI `from` or a later one has already begun.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
         if duty != self.duty && !self.is_removed {
             self.advance_to(from);
@@ -282,12 +299,13 @@ impl Machine {
         // Catching up stops at the first measured TTI, where the ledger is divided.
         if self.next <= self.ledger_builder.measured_from() && self.ledger_builder.measured_from() <= k {
             self.catch_up(self.ledger_builder.measured_from());
-            let so_far = self.totals();
-            self.ledger_builder.start_measuring(so_far);
+            let warm_up_totals = self.totals();
+            self.ledger_builder.start_measuring(warm_up_totals);
         }
         self.catch_up(k);
     }
 
+    /// Advances through the TTIs before `k`, in spans where possible.
     fn catch_up(&mut self, k: Tti) {
         self.end_open_tti();
         if self.has_failed {
@@ -296,9 +314,9 @@ impl Machine {
         }
         while self.next_false_wake_up < k {
             // A false wake-up costs energy within its TTI, so that TTI is not part of a span.
-            let false_wake_up = self.next_false_wake_up;
-            self.advance_without_false_wake_ups(false_wake_up);
-            self.begin_next(false_wake_up);
+            let false_wake_up_tti = self.next_false_wake_up;
+            self.advance_without_false_wake_ups(false_wake_up_tti);
+            self.begin_next(false_wake_up_tti);
             self.end_open_tti();
         }
         self.advance_without_false_wake_ups(k);
@@ -323,9 +341,9 @@ impl Machine {
     /// Consumes the false wake-ups before TTI `k`, which a failed device does not notice.
     fn skip_false_wake_ups(&mut self, k: Tti) {
         while self.next_false_wake_up < k
-            && let Some(wake_up_radio) = &mut self.wake_up_radio
+            && let Some(wake_up_faults) = &mut self.wake_up_faults
         {
-            self.next_false_wake_up = wake_up_radio.take_false_wake_up();
+            self.next_false_wake_up = wake_up_faults.take_false_wake_up();
         }
     }
 
@@ -347,8 +365,11 @@ impl Machine {
         self.next.0 > k.0 && !(self.is_open && self.next.0 == k.0 + 1)
     }
 
-    /// Begins TTI `k`: ends all TTIs before it, then applies harvest and δ, in this order. Does nothing if `k` has
-    /// begun.
+    /// Begins TTI `k`: ends all TTIs before it, then applies harvest and δ, in this order. Does nothing if `k` is the
+    /// open TTI.
+    ///
+    /// # Panics
+    /// If TTI `k` has ended, or a later one has begun.
     pub fn begin(&mut self, k: Tti) {
         if self.is_removed || (self.is_open && self.next == k + 1) {
             return;
@@ -383,12 +404,13 @@ impl Machine {
         }
     }
 
+    /// Consumes the false wake-up of the open TTI, which only a device in S4 with power notices.
     fn apply_false_wake_up(&mut self) {
-        if let Some(wake_up_radio) = &mut self.wake_up_radio {
-            self.next_false_wake_up = wake_up_radio.take_false_wake_up();
+        if let Some(wake_up_faults) = &mut self.wake_up_faults {
+            self.next_false_wake_up = wake_up_faults.take_false_wake_up();
         }
         if self.state == (DeviceState::Sleep { powered: true }) {
-            let _late = self.wake_without_detection();
+            let _outcome = self.wake_without_detection();
         }
     }
 
@@ -405,12 +427,16 @@ impl Machine {
     }
 
     /// Returns whether the device has δ = 1 in TTI `k` and is within d_max of `stimulus`. The draw of the detection and
-    /// the battery decide later, in [`Self::sense`].
+    /// the battery decide later, in [`Self::sense`]. `grant_follower` has the same rule for hosts.
     pub fn can_detect(&self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> bool {
         self.duty.is_on(k) && self.position.distance(stimulus.epicentre) <= physics.sensing.d_max
     }
 
     /// Senses `stimulus` in TTI `k` and transmits a report of a detection. Begins TTI `k` if it has not begun.
+    /// `physics` is the one of [`Self::new`], here and in [`Self::wake`].
+    ///
+    /// # Panics
+    /// As for [`Self::begin`].
     pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> SenseOutcome {
         self.begin(k);
         let d = self.position.distance(stimulus.epicentre);
@@ -424,12 +450,15 @@ impl Machine {
             SenseOutcome::Unpowered
         } else {
             self.transmit(k, d, physics)
-                .map_or_else(SenseOutcome::Failed, SenseOutcome::Reported)
+                .map_or_else(SenseOutcome::TransmissionFailed, SenseOutcome::Reported)
         }
     }
 
     /// Receives a wake-up signal in TTI `k`, after sensing. `stimulus` is present if the event still lasts when the
-    /// device is awake. Begins TTI `k` if it has not begun.
+    /// device is awake. Begins TTI `k` if it has not begun. A repeated call may pay again.
+    ///
+    /// # Panics
+    /// As for [`Self::begin`].
     pub fn wake(&mut self, k: Tti, stimulus: Option<&Stimulus>, physics: &Physics) -> WakeOutcome {
         self.begin(k);
         let is_missed = self.misses_wake_up(k);
@@ -451,7 +480,9 @@ impl Machine {
     }
 
     fn misses_wake_up(&mut self, k: Tti) -> bool {
-        self.wake_up_radio.as_mut().is_some_and(|radio| radio.misses_wake_up(k))
+        self.wake_up_faults
+            .as_mut()
+            .is_some_and(|faults| faults.misses_wake_up(k))
     }
 
     /// The device's totals over all TTIs that have ended. A TTI that has begun must have ended, as after
@@ -541,15 +572,15 @@ impl Machine {
             // With an empty battery every action that costs energy fails, up to the end of the span.
             if self.battery.level() == Energy::ZERO && e_idle > Energy::ZERO && e_wur > Energy::ZERO {
                 let remaining = n - ttis_done;
-                let (on, ..) = self.duty.sum_over_span(self.duty.phase(self.next), remaining as u32);
-                self.ledger_builder.record_outage(on, remaining - on);
+                let (on_ttis, ..) = self.duty.sum_over_span(self.duty.phase(self.next), remaining as u32);
+                self.ledger_builder.record_outage(on_ttis, remaining - on_ttis);
                 self.ledger_builder.record_end(Energy::ZERO, e_tx, remaining);
                 self.next = self.next + remaining;
                 return;
             }
-            let on = self.duty.is_on(self.next);
-            let payment = self.battery.pay(if on { e_idle } else { e_wur });
-            self.ledger_builder.record_duty(on, payment);
+            let is_on = self.duty.is_on(self.next);
+            let payment = self.battery.pay(if is_on { e_idle } else { e_wur });
+            self.ledger_builder.record_duty(is_on, payment);
             self.ledger_builder.record_end(self.battery.level(), e_tx, 1);
             self.next = self.next + 1;
         }
@@ -558,13 +589,13 @@ impl Machine {
 
 /// The faults of a device's wake-up receiver: missed and false wake-ups.
 #[derive(Clone, Debug)]
-pub(crate) struct WakeUpRadio {
+pub(crate) struct WakeUpFaults {
     device: DeviceId,
     air: Air,
     false_wake_ups: FalseWakeUps,
 }
 
-impl WakeUpRadio {
+impl WakeUpFaults {
     /// Creates the faults of `device` in a run with `seed`. Returns `None` if `radio` never fails.
     pub(crate) fn new(seed: u64, radio: &RadioSettings, device: DeviceId) -> Option<Box<Self>> {
         let build = || Self {

@@ -9,8 +9,9 @@
 //! from 0 to 6000 every 600 fail 0-49 for 60 at random
 //! ```
 //! A script becomes the same external inputs in every run of a scenario, in memory and over the bus: random times
-//! follow from the seed of the scenario, the line number and the device. `docs/actions.md` explains the forms.
-//! `reveille clock` parses its arguments with the same functions.
+//! follow from the seed of the scenario, the line number and the device. A change of the draws or of the order of
+//! actions changes the digests of runs with scripts. `docs/actions.md` explains the forms. `deploy/src/cli/run.rs` and
+//! `sweep/grid.rs` read scripts; `reveille clock` parses its arguments with the same functions.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -23,7 +24,8 @@ use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::{Energy, MAX_UNITS};
 
-/// The largest size of a script, bytes. The experiments of sweeps contain their scripts, so their limit is larger.
+/// The largest size of a script, bytes. The experiments of sweeps contain their scripts, so their limit is larger
+/// (`MAX_EXPERIMENT_BYTES` in `sweep/folder.rs`).
 const MAX_SCRIPT_BYTES: u64 = 4 << 20;
 /// The largest number of actions of a script.
 const MAX_ACTIONS: usize = 10_000_000;
@@ -63,27 +65,34 @@ pub fn read(path: &Path, files: &dyn Files) -> Result<String, String> {
 /// of lines.
 ///
 /// # Errors
-/// If a line has none of the forms, or names an impossible action.
+/// If a line has none of the forms, or names an impossible action. Whether it does must not depend on the seed: sweeps
+/// check a script with the first seed only.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<Vec<OperatorAction>, ScriptError> {
     let mut actions = Vec::new();
-    for (line, text) in (1..).zip(text.lines()) {
-        let words: Vec<&str> = text.split('#').next().unwrap_or_default().split_whitespace().collect();
+    for (line, line_text) in (1..).zip(text.lines()) {
+        let words: Vec<&str> = line_text
+            .split('#')
+            .next()
+            .unwrap_or_default()
+            .split_whitespace()
+            .collect();
         if words.is_empty() {
             continue;
         }
-        let added = parse_line(&words).and_then(|parsed| parsed.add_to(&mut actions, line as u64, scenario));
-        added.map_err(|cause| ScriptError { line, cause })?;
+        let result = parse_line(&words).and_then(|parsed| parsed.add_to(&mut actions, line as u64, scenario));
+        result.map_err(|cause| ScriptError { line, cause })?;
     }
     // Stable, so that a revival precedes the next failure in the same TTI.
     actions.sort_by_key(|action| action.tti);
     Ok(actions)
 }
 
-/// The times of a line.
+/// The times of a line, in TTIs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Times {
     Once(u64),
-    /// In each whole period from a TTI on, before `to`.
+    /// Once in each period of `every` TTIs from `from` on, before `to` or the end of the run; at the start of the
+    /// period or at a random time in it.
     Repeated {
         from: u64,
         to: Option<u64>,
@@ -143,19 +152,23 @@ pub fn parse_setting(text: &str) -> Result<Setting, String> {
 }
 
 /// Parses a number. The error has the text: the word must be `requirement`.
-fn number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
+fn parse_number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
     word.parse().map_err(|_| format!("`{word}` must be {requirement}"))
 }
 
 fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {
-    let whole = |word: &str| number::<u64>(word, "a whole number of TTIs, such as 600");
+    let parse_ttis = |word: &str| parse_number::<u64>(word, "a whole number of TTIs, such as 600");
     let (times, action) = match words {
-        ["from", from, "to", to, "every", every, action @ ..] => {
-            (repeated(whole(from)?, Some(whole(to)?), whole(every)?), action)
-        }
-        ["from", from, "every", every, action @ ..] => (repeated(whole(from)?, None, whole(every)?), action),
+        ["from", from, "to", to, "every", every, action @ ..] => (
+            repeated(parse_ttis(from)?, Some(parse_ttis(to)?), parse_ttis(every)?),
+            action,
+        ),
+        ["from", from, "every", every, action @ ..] => (repeated(parse_ttis(from)?, None, parse_ttis(every)?), action),
         ["from", ..] => return Err(format!("incomplete repetition; {FORMS}")),
-        [tti, action @ ..] => (Times::Once(number(tti, "the TTI of the action, or `from`")?), action),
+        [tti, action @ ..] => (
+            Times::Once(parse_number(tti, "the TTI of the action, or `from`")?),
+            action,
+        ),
         [] => return Err(FORMS.to_owned()),
     };
     let (times, action) = match (times, action) {
@@ -176,20 +189,20 @@ fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {
         }
         (times, action) => (times, action),
     };
-    let on_devices = |devices: &str, change: fn(DeviceRange) -> Change| -> Result<Vec<Change>, String> {
+    let changes_of = |devices: &str, change: fn(DeviceRange) -> Change| -> Result<Vec<Change>, String> {
         Ok(parse_devices(devices)?.into_iter().map(change).collect())
     };
     let (changes, duration) = match action {
-        ["fail", devices] => (on_devices(devices, Change::Fail)?, None),
-        ["fail", devices, "for", ttis] => (on_devices(devices, Change::Fail)?, Some(whole(ttis)?)),
-        ["revive", devices] => (on_devices(devices, Change::Revive)?, None),
+        ["fail", devices] => (changes_of(devices, Change::Fail)?, None),
+        ["fail", devices, "for", ttis] => (changes_of(devices, Change::Fail)?, Some(parse_ttis(ttis)?)),
+        ["revive", devices] => (changes_of(devices, Change::Revive)?, None),
         ["energy", devices, units] => {
             let energy = parse_energy(units)?;
             let ranges = parse_devices(devices)?.into_iter();
             (ranges.map(|range| Change::AddEnergy(range, energy)).collect(), None)
         }
         ["set", field, value] => (
-            vec![Change::Set(parse_setting(field)?, number(value, "a number")?)],
+            vec![Change::Set(parse_setting(field)?, parse_number(value, "a number")?)],
             None,
         ),
         [] => return Err(format!("the action is missing; {FORMS}")),
@@ -212,7 +225,7 @@ const fn repeated(from: u64, to: Option<u64>, every: u64) -> Times {
 }
 
 impl ScriptLine {
-    /// Appends the actions of line number `line` in a run of `scenario`.
+    /// Appends the actions of line number `line` in a run of `scenario`. Checks the line first.
     fn add_to(mut self, actions: &mut Vec<OperatorAction>, line: u64, scenario: &Scenario) -> Result<(), String> {
         let ttis = scenario.run.ttis;
         for change in &mut self.changes {
@@ -251,11 +264,13 @@ impl ScriptLine {
                         "`every` {every} must be longer than the failure; use a larger number"
                     ));
                 }
-                let before = to.unwrap_or(ttis).min(ttis);
+                let until = to.unwrap_or(ttis).min(ttis);
                 if at_random {
-                    return self.add_at_random(actions, (from, before, every - duration), every, line, scenario);
+                    // A failure ends within its period.
+                    let max_delay = every - duration;
+                    return self.add_at_random(actions, (from, until, max_delay), every, line, scenario);
                 }
-                let mut starts = (from..before).step_by(usize::try_from(every).unwrap_or(usize::MAX));
+                let mut starts = (from..until).step_by(usize::try_from(every).unwrap_or(usize::MAX));
                 starts.try_for_each(|tti| {
                     let mut changes = self.changes.iter();
                     changes.try_for_each(|change| self.add_change(actions, tti, *change, ttis))
@@ -264,12 +279,12 @@ impl ScriptLine {
         }
     }
 
-    /// Appends the actions at random times: one for each device and period, at most `slack` TTIs after the start of the
-    /// period.
+    /// Appends the actions at random times: one for each device and period of `every` TTIs, at most `max_delay` TTIs
+    /// after the start of the period. Times from `until` on are left out.
     fn add_at_random(
         &self,
         actions: &mut Vec<OperatorAction>,
-        (from, before, slack): (u64, u64, u64),
+        (from, until, max_delay): (u64, u64, u64),
         every: u64,
         line: u64,
         scenario: &Scenario,
@@ -279,16 +294,16 @@ impl ScriptLine {
                 return Err("a setting has no devices, whose times could differ; leave out `at random`".to_owned());
             };
             for device in range.devices() {
-                let one = DeviceRange {
+                let single_device = DeviceRange {
                     first: device,
                     count: 1,
                 };
-                let change = change.with_devices(one);
-                let id = line << 32 | u64::from(device.0);
-                let mut stream = Stream::new(scenario.run.seed, Purpose::Actions, id);
-                for start in (from..before).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
-                    let tti = start.saturating_add(stream.below(slack + 1));
-                    if tti < before {
+                let change = change.with_devices(single_device);
+                let stream_id = line << 32 | u64::from(device.0);
+                let mut stream = Stream::new(scenario.run.seed, Purpose::Actions, stream_id);
+                for start in (from..until).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
+                    let tti = start.saturating_add(stream.below(max_delay + 1));
+                    if tti < until {
                         self.add_change(actions, tti, change, scenario.run.ttis)?;
                     }
                 }
@@ -297,7 +312,8 @@ impl ScriptLine {
         Ok(())
     }
 
-    /// Appends `change` in TTI `tti`, and the revival after a failure that lasts.
+    /// Appends `change` in TTI `tti`, and the revival after a failure with a duration, unless the run of `ttis` TTIs
+    /// ends before it.
     fn add_change(&self, actions: &mut Vec<OperatorAction>, tti: u64, change: Change, ttis: u64) -> Result<(), String> {
         if actions.len() >= MAX_ACTIONS {
             return Err(format!(

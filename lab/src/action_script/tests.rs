@@ -1,4 +1,6 @@
-//! Tests of action scripts: the actions of a script, random times, and the error of each invalid line.
+//! Tests of action scripts: the actions of a script, random times, and the error of each invalid line. Runs with
+//! scripts are tested in `tests/program/actions.rs` and `sweep_actions.rs`. The limits of size and number are not
+//! reached.
 
 use reveille_bs::scenario::{Override, load};
 
@@ -12,6 +14,7 @@ fn scenario(fields: &[&str]) -> Scenario {
     load("quick", &fields).expect("a preset").scenario
 }
 
+/// A scenario of 50 devices and 6000 TTIs, whose policy has a price.
 fn test_scenario() -> Scenario {
     scenario(&["devices=50", "ttis=6000", "policy.name=age-index"])
 }
@@ -97,25 +100,25 @@ fn random_times_lie_within_their_periods_and_follow_from_the_seed() {
     let actions = parse(text, &test_scenario()).expect("a script");
     assert_eq!(actions, parse(text, &test_scenario()).expect("a script"));
     assert!(actions.is_sorted_by_key(|action| action.tti));
-    let mut sum = 0;
+    let mut offset_sum = 0;
     for device in (0..50).map(DeviceId) {
-        let own: Vec<&OperatorAction> = actions
+        let device_actions: Vec<&OperatorAction> = actions
             .iter()
             .filter(|action| action.change.devices().is_some_and(|range| range.contains(device)))
             .collect();
-        assert_eq!(own.len(), 20, "device {device}");
-        for (period, pair) in (0..).zip(own.chunks(2)) {
+        assert_eq!(device_actions.len(), 20, "device {device}");
+        for (period, pair) in (0..).zip(device_actions.chunks(2)) {
             let offset = pair[0].tti.0.checked_sub(600 * period).expect("in its period");
             assert!(matches!(pair[0].change, Change::Fail(_)) && offset <= 540, "{pair:?}");
             assert!(matches!(pair[1].change, Change::Revive(_)) && pair[1].tti.0 - pair[0].tti.0 == 60);
-            sum += offset;
+            offset_sum += offset;
         }
     }
     // 500 offsets, uniform on 0..=540: their mean has the standard error 156 / √500 = 7.
-    let mean = f64::from(u32::try_from(sum).expect("small")) / 500.0;
+    let mean = f64::from(u32::try_from(offset_sum).expect("small")) / 500.0;
     assert!((mean - 270.0).abs() < 4.0 * 7.0, "mean offset {mean}");
-    let other = scenario(&["devices=50", "ttis=6000", "policy.name=age-index", "seed=2"]);
-    assert_ne!(actions, parse(text, &other).expect("a script"));
+    let other_seed = scenario(&["devices=50", "ttis=6000", "policy.name=age-index", "seed=2"]);
+    assert_ne!(actions, parse(text, &other_seed).expect("a script"));
 }
 
 #[test]

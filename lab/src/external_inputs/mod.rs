@@ -1,5 +1,5 @@
 //! The external inputs of a run as text, the input log (a replay log): a line that names the run, then one line for
-//! each input. Inputs of a kind are in order of arrival.
+//! each input. Inputs of a kind are in order of arrival. `deploy/src/input_log.rs` writes and reads the file.
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, decisions of a policy
 //! process, and actions of operators. They and the scenario determine the run: replays and resumed runs read them from
@@ -114,7 +114,8 @@ impl ExternalInputs {
         }
     }
 
-    /// Returns the removals and decisions of the TTIs before `k`, and all actions, which do not depend on the run.
+    /// Returns the removals and decisions of the TTIs before `k`, and all actions, which do not depend on the run: a
+    /// run resumed at `k` must still make them.
     #[must_use]
     pub fn before(&self, k: Tti) -> Self {
         let (removals, decisions) = (self.removals.iter(), self.decisions.iter());
@@ -139,12 +140,12 @@ impl ExternalInputs {
         }
     }
 
-    /// The numbers of removals, decisions and actions.
+    /// The numbers of removals, decisions and actions, in the order that [`Self::after`] expects.
     pub const fn counts(&self) -> [usize; 3] {
         [self.removals.len(), self.decisions.len(), self.actions.len()]
     }
 
-    /// Iterates over all inputs: removals, decisions, actions.
+    /// Iterates over all inputs: removals, decisions, actions. The kinds are not merged by TTI.
     pub fn iter(&self) -> impl Iterator<Item = ExternalInput> {
         let removals = self.removals.iter().copied().map(ExternalInput::Removal);
         let decisions = self.decisions.iter().cloned().map(ExternalInput::Decision);
@@ -154,7 +155,8 @@ impl ExternalInputs {
     }
 }
 
-/// A line of the log. The names here, in snake case, are the keys of its JSON.
+/// A line of the log. The names here, in snake case, are the keys of its JSON; a removal has the field names of
+/// [`DeviceRemoval`].
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum InputLogLine {
@@ -252,7 +254,7 @@ impl From<&OperatorAction> for InputLogLine {
     }
 }
 
-/// Returns the first line of the log of a run of `scenario`.
+/// Returns the first line of the log of a run of `scenario`, with its line feed.
 pub fn first_line(scenario: &Scenario) -> String {
     first_line_of(VERSION, scenario)
 }
@@ -265,8 +267,8 @@ fn first_line_of(version: u32, scenario: &Scenario) -> String {
     first.to_text()
 }
 
-/// Returns the line of an input.
-pub fn line(input: &ExternalInput) -> String {
+/// Returns the line of an input, with its line feed.
+pub fn input_line(input: &ExternalInput) -> String {
     match input {
         ExternalInput::Removal(removal) => InputLogLine::Removal(*removal).to_text(),
         ExternalInput::Decision(decision) => InputLogLine::from(decision).to_text(),
@@ -309,7 +311,7 @@ pub fn holds_decisions(text: &str) -> bool {
     })
 }
 
-/// An incremental parser, for example for the log of a run in progress.
+/// An incremental parser, for example for the log of a run in progress. After an error it must not be used further.
 #[derive(Clone, Debug, Default)]
 pub struct InputLogParser {
     inputs: ExternalInputs,
@@ -345,8 +347,8 @@ impl InputLogParser {
             line_count: line_number,
             version: log_version,
         } = self;
-        let entry = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
-        let decision = match entry {
+        let parsed_line = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
+        let decision = match parsed_line {
             InputLogLine::Inputs { .. } if log_version.is_some() => {
                 return Err(InputLogError::SecondFirstLine(*line_number));
             }
@@ -467,13 +469,15 @@ fn valid_cycles(triples: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCyc
 }
 
 fn is_possible_removal(removal: &DeviceRemoval, earlier: &[DeviceRemoval], scenario: &Scenario) -> bool {
-    let order = |removal: &DeviceRemoval| (removal.tti, removal.wake_ups);
-    let is_next = earlier.last().is_none_or(|last| order(last) <= order(removal));
+    let point_in_run = |removal: &DeviceRemoval| (removal.tti, removal.wake_ups);
+    let is_in_order = earlier
+        .last()
+        .is_none_or(|last| point_in_run(last) <= point_in_run(removal));
     let is_disjoint = |other: &DeviceRemoval| other.last() < removal.first || removal.last() < other.first;
     // A valid removal names devices of the run, so its range can index them. A device is removed once, so ranges are
     // disjoint.
     let is_in_run = removal.is_valid(scenario.run.devices) && removal.tti.0 < scenario.run.ttis;
-    is_in_run && is_next && earlier.iter().all(is_disjoint)
+    is_in_run && is_in_order && earlier.iter().all(is_disjoint)
 }
 
 /// Returns whether `decision` is possible after `previous`. A run starts with a plan, and a TTI has at most one.

@@ -1,4 +1,5 @@
-//! Tests of the input log: round trips, old versions, and the error of each broken line.
+//! Tests of the input log: round trips, old versions, and the error of each broken line. The scenario is the preset
+//! `quick`: inputs name devices and TTIs of it. The fuzz target `files` parses random logs.
 
 use reveille_bs::scenario::load;
 use reveille_common::ids::{DeviceId, Tti};
@@ -17,7 +18,7 @@ fn removal(first: u32, count: u32, tti: u64) -> DeviceRemoval {
 /// Writes a log of these inputs with a truncated last line, and parses it.
 fn write_and_parse(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
     let scenario = load("quick", &[]).expect("a preset").scenario;
-    let lines: String = inputs.iter().map(line).collect();
+    let lines: String = inputs.iter().map(input_line).collect();
     parse(&format!("{}{lines}{{\"outage\":", first_line(&scenario)), &scenario)
 }
 
@@ -58,7 +59,7 @@ fn test_actions() -> Vec<OperatorAction> {
 fn the_line_of_an_action_names_its_fields() {
     let lines: String = test_actions()
         .into_iter()
-        .map(|action| line(&ExternalInput::Action(action)))
+        .map(|action| input_line(&ExternalInput::Action(action)))
         .collect();
     assert_eq!(
         lines,
@@ -130,15 +131,17 @@ fn a_log_round_trips_up_to_its_last_complete_line() {
         ],
         actions: test_actions(),
     };
-    let all: Vec<ExternalInput> = inputs.iter().collect();
-    assert_eq!(write_and_parse(&all).expect("a log"), inputs);
+    let all_inputs: Vec<ExternalInput> = inputs.iter().collect();
+    assert_eq!(write_and_parse(&all_inputs).expect("a log"), inputs);
     let scenario = load("quick", &[]).expect("a preset").scenario;
-    let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
+    let text = first_line(&scenario) + &all_inputs.iter().map(input_line).collect::<String>();
     for piece_bytes in [1, 7, 60, 4000] {
-        let (mut parser, mut read, mut available) = (InputLogParser::default(), 0, 0);
-        while read < text.len() {
-            available = text.len().min(available + piece_bytes);
-            read += parser.read(&text[read..available], &scenario).expect("a log");
+        let (mut parser, mut read_bytes, mut available_bytes) = (InputLogParser::default(), 0, 0);
+        while read_bytes < text.len() {
+            available_bytes = text.len().min(available_bytes + piece_bytes);
+            read_bytes += parser
+                .read(&text[read_bytes..available_bytes], &scenario)
+                .expect("a log");
         }
         assert_eq!(parser.inputs(), &inputs, "{piece_bytes} bytes at a time");
     }
@@ -195,7 +198,7 @@ fn an_invalid_text_is_refused_with_its_place() {
          inputs.log of a run folder"
     );
     assert!(matches!(
-        error_of(&line(&ExternalInput::Removal(removal(0, 1, 1)))),
+        error_of(&input_line(&ExternalInput::Removal(removal(0, 1, 1)))),
         InputLogError::MissingFirstLine(1)
     ));
     // Without a newline, only the start of a first line is the log of a killed run.
@@ -206,7 +209,7 @@ fn an_invalid_text_is_refused_with_its_place() {
             "{text:?}: {error}"
         );
     }
-    let removal_line = line(&ExternalInput::Removal(removal(0, 1, 1)));
+    let removal_line = input_line(&ExternalInput::Removal(removal(0, 1, 1)));
     assert!(matches!(
         error_of(removal_line.trim_end()),
         InputLogError::MissingFirstLine(1)
@@ -224,20 +227,27 @@ fn an_invalid_text_is_refused_with_its_place() {
 fn a_second_first_line_and_logs_of_other_runs_and_versions_are_refused() {
     let scenario = load("quick", &[]).expect("a preset").scenario;
     let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
-    let removal_line = line(&ExternalInput::Removal(removal(0, 1, 1)));
-    let torn = first_line(&scenario) + &removal_line + "garbage";
-    assert_eq!(parse(&torn, &scenario).expect("a log").removals, [removal(0, 1, 1)]);
-    let twice = first_line(&scenario) + &removal_line + &first_line(&scenario);
-    assert!(matches!(error_of(&twice), InputLogError::SecondFirstLine(3)));
-    let first = first_line_of(1, &scenario);
+    let removal_line = input_line(&ExternalInput::Removal(removal(0, 1, 1)));
+    let text_with_torn_line = first_line(&scenario) + &removal_line + "garbage";
     assert_eq!(
-        parse(&(first.clone() + &removal_line), &scenario)
+        parse(&text_with_torn_line, &scenario).expect("a log").removals,
+        [removal(0, 1, 1)]
+    );
+    let text_with_two_first_lines = first_line(&scenario) + &removal_line + &first_line(&scenario);
+    assert!(matches!(
+        error_of(&text_with_two_first_lines),
+        InputLogError::SecondFirstLine(3)
+    ));
+    let first_line_of_version_1 = first_line_of(1, &scenario);
+    assert_eq!(
+        parse(&(first_line_of_version_1.clone() + &removal_line), &scenario)
             .expect("a log")
             .removals,
         [removal(0, 1, 1)]
     );
     for decision in [plan_decision(0, plan_of_one(3), 1), wake_decision(0, &[1])] {
-        let with_decision = first.clone() + &removal_line + &line(&ExternalInput::Decision(decision));
+        let with_decision =
+            first_line_of_version_1.clone() + &removal_line + &input_line(&ExternalInput::Decision(decision));
         assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
     }
     let first_line_of_other_run =

@@ -1,5 +1,5 @@
-//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B. `bs/src/beliefs/reward.rs` has
-//! the formulas; rewards do not affect the run.
+//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B. `batch.rs` and [`super::record`]
+//! step it. `bs/src/beliefs/reward.rs` has the formulas; rewards do not affect the run.
 
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ impl Default for RewardWeights {
 #[derive(Clone, Debug)]
 pub struct EpisodeTemplate {
     prepared: Arc<PreparedRun>,
-    union: CoverageUnion,
+    coverage_union: CoverageUnion,
 }
 
 impl EpisodeTemplate {
@@ -56,10 +56,10 @@ impl EpisodeTemplate {
             scenario.policy.name()
         );
         let prepared = PreparedRun::without_pilots(scenario);
-        let union = reward::coverage_union(&prepared.knowledge());
+        let coverage_union = reward::coverage_union(&prepared.knowledge());
         Self {
             prepared: Arc::new(prepared),
-            union,
+            coverage_union,
         }
     }
 
@@ -69,7 +69,7 @@ impl EpisodeTemplate {
     }
 }
 
-/// The reward of a step, by term.
+/// The reward of a step, by term. Stage 0 is a plan, stage 1 are wake-ups.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RewardTerms {
     /// The share of sleeping devices, the first term of r(k); 0 at stage 1.
@@ -95,8 +95,8 @@ struct StepObserver {
     sensing: Sensing,
     /// Î of the open TTI.
     information: f64,
-    /// The number of wake-ups since [`Environment::step_wake_ups`] has reset it.
-    wake_ups: u32,
+    /// The number of wake-ups sent since [`Environment::step_wake_ups`] has reset it.
+    sent_wake_ups: u32,
 }
 
 impl Observer for StepObserver {
@@ -109,7 +109,7 @@ impl Observer for StepObserver {
                 outcome: WakeOutcome::Reported(report),
                 ..
             } => self.information = self.sensing.fuse(self.information, report.information),
-            Notification::WakeUpSent { .. } => self.wake_ups += 1,
+            Notification::WakeUpSent { .. } => self.sent_wake_ups += 1,
             Notification::PlanSent { .. }
             | Notification::EventStarted(_)
             | Notification::ReportLost(_)
@@ -130,7 +130,7 @@ pub struct Environment {
     template: EpisodeTemplate,
     weights: RewardWeights,
     run: SteppedRun<StepObserver>,
-    devices: usize,
+    device_count: usize,
     /// δ of the last plan; kept to reuse its memory.
     plan_bits: Vec<bool>,
     devices_to_wake: Vec<DeviceId>,
@@ -144,16 +144,17 @@ impl Environment {
         Self::with_world(template, world, weights)
     }
 
-    /// Creates the run as [`Self::new`] does, in the caller's world, such as one with scripted events.
+    /// Creates the run as [`Self::new`] does, in the caller's world of the same deployment, such as one with scripted
+    /// events.
     pub fn with_world(template: EpisodeTemplate, world: World, weights: RewardWeights) -> Self {
         let observer = StepObserver {
             sensing: template.prepared.scenario.sensing.clone(),
             information: 0.0,
-            wake_ups: 0,
+            sent_wake_ups: 0,
         };
         Self {
             run: SteppedRun::with_world(&template.prepared, world, RunOptions::default(), observer),
-            devices: template.prepared.deployment.devices.len(),
+            device_count: template.prepared.deployment.devices.len(),
             template,
             weights,
             plan_bits: Vec::new(),
@@ -181,7 +182,8 @@ impl Environment {
         self.run.now().0
     }
 
-    /// Takes a step with the action `is_set`, by device. Has no effect at the end of the run.
+    /// Takes a step with the action `is_set`, by device: whether it senses, or is woken. Has no effect at the end of
+    /// the run.
     pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         match self.run.pending_decision().map(|request| request.stage) {
             None => RewardTerms::default(),
@@ -192,8 +194,8 @@ impl Environment {
 
     fn step_plan(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         self.plan_bits.clear();
-        self.plan_bits.extend((0..self.devices).map(is_set));
-        let coverage = CoverageReward::new(&mut self.template.union, &self.plan_bits);
+        self.plan_bits.extend((0..self.device_count).map(is_set));
+        let coverage = CoverageReward::new(&mut self.template.coverage_union, &self.plan_bits);
         self.run.decide(PlanDecision {
             plan: Plan::from_bits(self.plan_bits.iter().copied()),
             // A step is one decision, so a plan is due in every TTI.
@@ -209,17 +211,17 @@ impl Environment {
 
     fn step_wake_ups(&mut self, is_set: impl Fn(usize) -> bool) -> RewardTerms {
         self.devices_to_wake.clear();
-        let devices = (0..self.devices).filter(|j| is_set(*j));
+        let devices = (0..self.device_count).filter(|j| is_set(*j));
         self.devices_to_wake.extend(devices.map(|j| DeviceId(j as u32)));
         // Reports of sensing devices count in Î before the first wake-up; only the gain by wake-ups is rewarded.
         let (psi, information_before) = (self.template.scenario().sensing.psi, self.information());
-        self.run.observer_mut().wake_ups = 0;
+        self.run.observer_mut().sent_wake_ups = 0;
         self.run.wake(&self.devices_to_wake);
         // A plan is due in every TTI, so the run stops before the next grant: Î still belongs to this TTI.
         let observer = self.run.observer();
         let gain = (observer.information - information_before) / psi;
         let [information, woken] =
-            reward::wake_up_reward_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
+            reward::wake_up_reward_terms(self.weights.mu2, gain, observer.sent_wake_ups, self.device_count);
         RewardTerms {
             information,
             woken,

@@ -1,10 +1,11 @@
 //! Environments for training policies: runs with external decisions, one step per decision, numeric observations, and
 //! the rewards of Sec. V-B.
 //!
-//! The Python package wraps an [`EnvBatch`]; the shapes of its buffers are part of the package's interface. A step
-//! answers one decision request. At stage 0 the action is δ(k), a bit for each device. At stage 1 it is the set
-//! of devices to wake; an empty set ends the wake-ups of the TTI. Devices of one action are woken in the order of ids.
-//! Every action is valid: impossible parts are dropped ([`reveille_bs::policy::external`]).
+//! The Python package wraps an [`EnvBatch`]; the shapes of its buffers and the numbers of stages are part of the
+//! package's interface (`docs/python.md`). A step answers one decision request. At stage 0 the action is δ(k), a bit
+//! for each device. At stage 1 it is the set of devices to wake; an empty set ends the wake-ups of the TTI. Devices of
+//! one action are woken in the order of ids. Every action is valid: impossible parts are dropped
+//! ([`reveille_bs::policy::external`]).
 
 mod batch;
 mod environment;
@@ -27,7 +28,7 @@ pub use environment::{Environment, EpisodeTemplate, RewardTerms, RewardWeights};
 /// A run of a policy, and the actions that reproduce it in an environment.
 #[derive(Clone, Debug)]
 pub struct RecordedActions {
-    /// One action per step, 0 or 1, `[T, N]`. Devices are woken one at a time.
+    /// One action per step, 0 or 1 for each device, `[T, N]` for T steps. Devices are woken one at a time.
     pub rows: Vec<i8>,
     /// The stage of each step, 0 or 1, `[T]`.
     pub stages: Vec<i8>,
@@ -58,7 +59,8 @@ impl Observer for CommandObserver {
 }
 
 /// Records the run of `scenario` as actions in the environment of `external_scenario`, the same scenario with the
-/// policy `external`. Returns `None` for the genie, which wakes devices without a report.
+/// policy `external`; in another one the actions mean nothing. Returns `None` for the genie, which wakes devices
+/// without a report. `python/src/runs.rs` calls it.
 ///
 /// # Panics
 /// If `external_scenario` has another policy than `external`.
@@ -71,12 +73,13 @@ pub fn record(scenario: &Scenario, external_scenario: &Scenario) -> Option<Recor
     let policy_outcome = Run::new(&prepared, RunOptions::default()).finish(&mut commands);
     let mut environment = Environment::new(EpisodeTemplate::new(external_scenario), RewardWeights::default());
     let (mut rows, mut stages) = (Vec::new(), Vec::new());
-    let mut woken_devices = 0;
+    // The position in the wake-ups of the open TTI.
+    let mut next_wake_up = 0;
     while let Some(request) = environment.pending_decision() {
         let (now, n) = (request.observation.now, request.observation.known.n());
         let action: Vec<bool> = match request.stage {
             DecisionStage::Plan => {
-                woken_devices = 0;
+                next_wake_up = 0;
                 // A plan holds until the next one, and each run starts with a plan in TTI 0.
                 let (_, plan) = commands.plans.range(..=now.0).next_back().expect("a plan in TTI 0");
                 (0..n as u32).map(|j| plan.duty_cycle(DeviceId(j)).is_on(now)).collect()
@@ -84,12 +87,14 @@ pub fn record(scenario: &Scenario, external_scenario: &Scenario) -> Option<Recor
             DecisionStage::Wake => {
                 // One device per step, because one action wakes its devices in the order of ids. After the last device
                 // the action is empty, which ends the wake-ups of the TTI.
-                let next = commands
+                let woken_device = commands
                     .wake_ups
                     .get(&now.0)
-                    .and_then(|devices| devices.get(woken_devices));
-                woken_devices += 1;
-                (0..n).map(|j| next.is_some_and(|device| device.index() == j)).collect()
+                    .and_then(|devices| devices.get(next_wake_up));
+                next_wake_up += 1;
+                (0..n)
+                    .map(|j| woken_device.is_some_and(|device| device.index() == j))
+                    .collect()
             }
         };
         stages.push(i8::from(request.stage == DecisionStage::Wake));

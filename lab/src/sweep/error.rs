@@ -1,5 +1,5 @@
 //! Errors of sweeps, their folders and merges. Each message names the thing, the cause and, if known, the fix. Outside
-//! tests, no code reads the texts.
+//! tests, no code reads the texts. `deploy` prints them; `python/src/runs.rs` tells [`SweepError::Panicked`] apart.
 
 use std::any::Any;
 use std::fmt::Display;

@@ -1,5 +1,6 @@
-//! Executes the runs that the journal of a sweep does not hold, in parallel. Which runs count must not depend on the
-//! number of threads, on interruptions or on shards: cells end by their runs in the order of seeds.
+//! Executes the runs that the journal of a sweep does not hold, in parallel; `folder.rs` calls it. The runs that count
+//! must not depend on the number of threads, on interruptions or on shards: cells end by their runs in the order of
+//! seeds. A cell is named by its index in the grid.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -18,7 +19,8 @@ use crate::table::ResultRow;
 /// The number of device-TTIs between two checks whether to stop: a fraction of a second.
 const STOP_DEVICE_TTIS: u64 = 20_000_000;
 
-/// Callbacks of a sweep. All threads call them.
+/// Callbacks of a sweep. All threads call them. `deploy`, `python` and tests implement the trait; an implementation
+/// without `warned` drops the warnings.
 pub trait SweepProgress: Sync {
     /// Reports that `runs` more runs of `cell` follow; cells come in order.
     fn planned(&self, cell: usize, runs: u64);
@@ -29,7 +31,7 @@ pub trait SweepProgress: Sync {
     /// Reports a warning about a run of `cell`, a sentence without its stop.
     fn warned(&self, _cell: usize, _warning: &str) {}
     /// Returns whether to stop, which discards the runs in progress.
-    fn stop(&self) -> bool;
+    fn should_stop(&self) -> bool;
 }
 
 /// The result of a cell.
@@ -42,7 +44,10 @@ pub struct CellSummary {
 }
 
 /// Executes all runs of `shard` that `journal` does not hold yet. Returns for each cell how many of its runs count, or
-/// `None` if the observer has stopped it.
+/// `None` if `progress` has stopped it.
+///
+/// # Panics
+/// If `shard` is not the whole sweep and the experiment has `until_ci`, which `SweepGrid::check_shard` refuses.
 ///
 /// # Errors
 /// If the journal cannot be written, or threads cannot be started.
@@ -51,7 +56,7 @@ pub(super) fn execute_missing(
     shard: Shard,
     threads: usize,
     journal: &mut impl RunStore,
-    observer: &impl SweepProgress,
+    progress: &impl SweepProgress,
 ) -> Result<Option<Vec<CellSummary>>, SweepError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -61,66 +66,67 @@ pub(super) fn execute_missing(
             threads,
             reason: error.to_string(),
         })?;
-    let count = grid.experiment.seeds.count;
+    let seed_count = grid.experiment.seeds.count;
     let first_check = grid
         .experiment
         .until_ci
         .as_ref()
-        .map_or(count, |until| until.next_check(0, count));
+        .map_or(seed_count, |until| until.next_check(0, seed_count));
     let workers = SweepWorkers {
         pool,
         preparer: RunPreparer::default(),
     };
-    let mut progress: Vec<CellProgress> = grid.cells.iter().map(|_| CellProgress::new(first_check)).collect();
+    let mut cell_states: Vec<CellState> = grid.cells.iter().map(|_| CellState::new(first_check)).collect();
     loop {
-        let open_cells: Vec<(usize, u64)> = progress
+        let open_cells: Vec<(usize, u64)> = cell_states
             .iter()
             .enumerate()
-            .filter(|(_, cell)| !cell.is_done)
-            .map(|(number, cell)| (number, cell.next_check))
+            .filter(|(_, state)| !state.is_done)
+            .map(|(cell, state)| (cell, state.due_runs))
             .collect();
         if open_cells.is_empty() {
             break;
         }
-        if !execute_wave(grid, shard, &workers, &open_cells, journal, observer)? {
+        if !execute_wave(grid, shard, &workers, &open_cells, journal, progress)? {
             return Ok(None);
         }
         for (cell, _) in open_cells {
-            progress[cell].check_intervals(grid, cell, journal);
+            cell_states[cell].check_intervals(grid, cell, journal);
         }
     }
-    let summaries = progress.into_iter().map(|cell| CellSummary {
-        runs: cell.next_check,
-        widest: cell.widest,
+    let summaries = cell_states.into_iter().map(|state| CellSummary {
+        runs: state.due_runs,
+        widest: state.widest,
     });
     Ok(Some(summaries.collect()))
 }
 
+/// The threads of a sweep, and the caches that they share.
 struct SweepWorkers {
     pool: rayon::ThreadPool,
     preparer: RunPreparer,
 }
 
-/// Executes the shard's missing runs of `open_cells`, each up to a number of seeds. Returns whether all of them are
-/// complete.
+/// Executes the shard's missing runs of `open_cells`, each a cell with the number of seeds up to which it must be
+/// complete. Returns whether all of them are; false after a stop.
 fn execute_wave(
     grid: &SweepGrid,
     shard: Shard,
     SweepWorkers { pool, preparer }: &SweepWorkers,
     open_cells: &[(usize, u64)],
     journal: &mut impl RunStore,
-    observer: &impl SweepProgress,
+    progress: &impl SweepProgress,
 ) -> Result<bool, SweepError> {
     let mut missing: Vec<RunIndex> = Vec::new();
     for &(cell, runs) in open_cells {
-        let before = missing.len();
+        let missing_before = missing.len();
         // The casts hold: a grid has at most 100 000 cells, and a cell at most 10 000 000 seeds.
         let shard_runs = shard.seed_indices(cell as u64, runs).map(|seed| RunIndex {
             cell: cell as u32,
             seed: seed as u32,
         });
         missing.extend(shard_runs.filter(|run_index| !journal.runs().contains_key(run_index)));
-        observer.planned(cell, (missing.len() - before) as u64);
+        progress.planned(cell, (missing.len() - missing_before) as u64);
     }
     let journal = Mutex::new(journal);
     let outcome = pool.install(|| {
@@ -128,13 +134,13 @@ fn execute_wave(
             .into_iter()
             // Runs are handed out one by one, so cells start in order and no thread gets all long runs.
             .par_bridge()
-            .try_for_each(|run_index| match execute_run(grid, run_index, preparer, observer) {
+            .try_for_each(|run_index| match execute_run(grid, run_index, preparer, progress) {
                 None => Err(WaveEnd::Stopped),
                 Some(entry) => {
                     let device_ttis = grid.cells[run_index.cell as usize].device_ttis();
                     let mut journal = journal.lock().unwrap_or_else(PoisonError::into_inner);
                     journal.add(run_index, entry, device_ttis).map_err(WaveEnd::Failed)?;
-                    observer.finished(run_index.cell as usize);
+                    progress.finished(run_index.cell as usize);
                     Ok(())
                 }
             })
@@ -149,6 +155,7 @@ fn execute_wave(
     }
 }
 
+/// The reason why a wave ends early.
 enum WaveEnd {
     Stopped,
     Failed(SweepError),
@@ -159,51 +166,54 @@ fn execute_run(
     grid: &SweepGrid,
     run_index: RunIndex,
     preparer: &RunPreparer,
-    observer: &impl SweepProgress,
+    progress: &impl SweepProgress,
 ) -> Option<JournalEntry> {
-    if observer.stop() {
+    if progress.should_stop() {
         return None;
     }
     let cell = &grid.cells[run_index.cell as usize];
-    observer.started(run_index.cell as usize);
+    progress.started(run_index.cell as usize);
     let scenario = cell.with_seed(grid.experiment.seeds.first + u64::from(run_index.seed));
     let options = RunOptions {
-        // The observer is asked at the end of each window; windows do not change outcomes.
+        // `StopWhen` is asked at the end of each window; windows do not change outcomes.
         window: (STOP_DEVICE_TTIS / u64::from(scenario.run.devices)).max(1),
         ..RunOptions::default()
     };
     let prepared = preparer.prepare(&scenario);
     for warning in &prepared.warnings {
-        observer.warned(run_index.cell as usize, warning);
+        progress.warned(run_index.cell as usize, warning);
     }
     let mut run = Run::new(&prepared, options);
     run.schedule_inputs(&grid.inputs(&scenario));
-    let outcome = run.finish(&mut StopWhen(|| observer.stop()));
+    let outcome = run.finish(&mut StopWhen(|| progress.should_stop()));
     let row = ResultRow::new(&scenario, cell.swept.clone(), &outcome);
     outcome.is_complete.then(|| JournalEntry::from(&row))
 }
 
-struct CellProgress {
-    /// The number of runs at the next check; of a done cell, the number of runs that count.
-    next_check: u64,
-    added_runs: u64,
+/// The state of a cell between two waves.
+struct CellState {
+    /// The number of runs that the next check needs; of a done cell, the number of runs that count.
+    due_runs: u64,
+    /// The number of runs whose metrics are in `moments`.
+    checked_runs: u64,
+    /// By metric of `until_ci`.
     moments: Vec<Moments>,
     widest: Option<(String, f64)>,
     is_done: bool,
 }
 
-impl CellProgress {
+impl CellState {
     fn new(first_check: u64) -> Self {
         Self {
-            next_check: first_check,
-            added_runs: 0,
+            due_runs: first_check,
+            checked_runs: 0,
             moments: Vec::new(),
             widest: None,
             is_done: false,
         }
     }
 
-    /// Decides whether the cell has enough runs; all runs up to the next check are present.
+    /// Decides whether the cell has enough runs. With `until_ci`, all of its `due_runs` must be in `journal`.
     fn check_intervals(&mut self, grid: &SweepGrid, cell: usize, journal: &impl RunStore) {
         let Some(until) = &grid.experiment.until_ci else {
             self.is_done = true;
@@ -211,7 +221,7 @@ impl CellProgress {
         };
         self.moments.resize(until.metrics.len(), Moments::default());
         // By seed and not by completion: the sums, and so the decision, are equal for any number of threads.
-        for seed in self.added_runs..self.next_check {
+        for seed in self.checked_runs..self.due_runs {
             let run_index = RunIndex {
                 cell: cell as u32,
                 seed: seed as u32,
@@ -221,14 +231,14 @@ impl CellProgress {
                 moments.add(metric_value(entry, name));
             }
         }
-        self.added_runs = self.next_check;
+        self.checked_runs = self.due_runs;
         self.widest = widest_interval(&until.metrics, &self.moments);
         // Without a defined metric, the cell ends.
         let is_narrow = self.widest.as_ref().is_none_or(|(_, width)| *width <= until.target);
-        let next = until.next_check(self.next_check, grid.experiment.seeds.count);
-        self.is_done = is_narrow || next == self.next_check;
+        let next_check = until.next_check(self.due_runs, grid.experiment.seeds.count);
+        self.is_done = is_narrow || next_check == self.due_runs;
         if !self.is_done {
-            self.next_check = next;
+            self.due_runs = next_check;
         }
     }
 }
@@ -242,6 +252,7 @@ fn widest_interval(names: &[String], moments: &[Moments]) -> Option<(String, f64
     widths.reduce(|widest, next| if next.1 > widest.1 { next } else { widest })
 }
 
+/// Returns the value of the metric `name`, which `until_ci` has accepted.
 fn metric_value(entry: &JournalEntry, name: &str) -> f64 {
     let index = Metrics::NAMES.iter().position(|known| *known == name);
     // `until_ci` accepts metrics only, and `events` is the one without a column among `NAMES`.

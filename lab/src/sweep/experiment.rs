@@ -1,6 +1,7 @@
 //! An experiment: a scenario, fields with lists of values, and seeds. `ExperimentBuilder` checks and builds it, and
 //! `SweepGrid` expands it to cells. Its TOML text identifies it in tables and journals: after a change of
-//! [`Experiment::to_toml`], older sweeps can neither be resumed nor merged with new ones.
+//! [`Experiment::to_toml`], older sweeps can neither be resumed nor merged with new ones. `ExperimentFile` in
+//! `experiment_builder.rs` reads the text; a new field belongs in both.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,8 +14,10 @@ use toml::{Table, Value};
 
 use super::error::SweepError;
 
+/// The largest number of seeds of a cell; `executor.rs` and the journal store their indices as `u32`.
 const MAX_SEEDS: u64 = 10_000_000;
-/// The smallest number of runs between two checks of the intervals.
+/// The smallest number of runs between two checks of the intervals, and the unit to which it is rounded up. Each check
+/// decides the number of runs of a cell, so a change changes result tables.
 const MIN_RUNS_BETWEEN_CHECKS: u64 = 10;
 
 /// A field of the scenario and its swept values.
@@ -29,7 +32,8 @@ pub struct SweepAxis {
 }
 
 impl SweepAxis {
-    /// The rank of the axis: preset, policy, N, TTIs, then the others by path; the first varies slowest.
+    /// The rank of the axis: preset, policy, N, TTIs, then the others by path; the first varies slowest. It fixes the
+    /// order of cells in tables and shards.
     pub(super) fn rank(&self) -> (usize, &str) {
         let column = Self::COLUMNS.iter().position(|(path, _)| *path == self.path);
         (column.unwrap_or(Self::COLUMNS.len()), &self.path)
@@ -91,7 +95,7 @@ pub struct UntilCi {
 }
 
 impl UntilCi {
-    /// The default number of runs before the first check.
+    /// The default number of runs before the first check. The help of `--min-seeds` and docs/command-line.md repeat it.
     pub(crate) const MIN_SEEDS: u64 = 30;
 
     /// Returns all metrics except `events` and differences. The mean of a difference may be 0, so a relative width has
@@ -147,7 +151,7 @@ pub struct Experiment {
     pub seeds: Seeds,
     /// The condition that ends a cell; `None` to run all seeds.
     pub until_ci: Option<UntilCi>,
-    /// The actions of every run, if any.
+    /// The actions of every run, if any; a script once `SweepGrid::new` has read its file.
     pub actions: Option<SweepActions>,
     /// The warnings about former names of fields, each a sentence without its full stop.
     pub warnings: Vec<String>,
@@ -203,7 +207,7 @@ impl Experiment {
     /// regardless of their origin.
     pub fn to_toml(&self) -> String {
         let mut lines = vec![format!("scenario = {}", Value::String(self.scenario.clone()))];
-        let list = |axis: &SweepAxis| Value::Array(axis.values.clone()).to_string();
+        let value_list = |axis: &SweepAxis| Value::Array(axis.values.clone()).to_string();
         for (field, path) in [
             ("preset", "preset"),
             ("policies", "policy.name"),
@@ -211,7 +215,7 @@ impl Experiment {
             ("ttis", "ttis"),
         ] {
             let axis = self.axes.iter().find(|axis| axis.path == path);
-            lines.extend(axis.map(|axis| format!("{field} = {}", list(axis))));
+            lines.extend(axis.map(|axis| format!("{field} = {}", value_list(axis))));
         }
         let Seeds { first, count } = self.seeds;
         lines.push(format!("seeds = {{ first = {first}, count = {count} }}"));
@@ -239,13 +243,13 @@ impl Experiment {
             let set = self.set.iter();
             lines.extend(set.map(|(path, value, _)| format!("{} = {value}", quoted(path))));
         }
-        let others: Vec<&SweepAxis> = self.axes.iter().filter(|axis| !axis.is_built_in()).collect();
-        if !others.is_empty() {
+        let grid_axes: Vec<&SweepAxis> = self.axes.iter().filter(|axis| !axis.is_built_in()).collect();
+        if !grid_axes.is_empty() {
             lines.push("\n[grid]".to_owned());
             lines.extend(
-                others
+                grid_axes
                     .iter()
-                    .map(|axis| format!("{} = {}", quoted(&axis.path), list(axis))),
+                    .map(|axis| format!("{} = {}", quoted(&axis.path), value_list(axis))),
             );
         }
         lines.join("\n") + "\n"
@@ -285,13 +289,13 @@ fn resolve_file_paths(fields: &Declaration, path: &str, value: &mut Value, folde
 }
 
 /// Describes the first line in which two experiments, as [`Experiment::to_toml`] returns them, or two scripts differ.
-pub(super) fn describe_difference(own: &str, other: &str) -> String {
-    let (mut own, mut other) = (own.lines(), other.lines());
+pub(super) fn describe_difference(own_text: &str, other_text: &str) -> String {
+    let (mut own_lines, mut other_lines) = (own_text.lines(), other_text.lines());
     loop {
-        let lines = (own.next(), other.next());
-        if lines.0 != lines.1 || lines.0.is_none() {
+        let (own, other) = (own_lines.next(), other_lines.next());
+        if own != other || own.is_none() {
             let shown = |line: Option<&str>| line.map_or("no line".to_owned(), |line| format!("`{line}`"));
-            return format!("{} here, {} there", shown(lines.0), shown(lines.1));
+            return format!("{} here, {} there", shown(own), shown(other));
         }
     }
 }

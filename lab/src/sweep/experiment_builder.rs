@@ -1,5 +1,6 @@
 //! The fields of an experiment file and the command line, before they form an experiment. `reveille sweep` fills a
 //! builder from its options and takes missing values from a file; the names of [`ExperimentFile`] are the file format.
+//! `Experiment::to_toml` writes them. The help in `deploy/src/cli/sweep.rs` repeats the defaults.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,6 +14,7 @@ use toml::{Table, Value};
 use super::error::SweepError;
 use super::experiment::{Experiment, Seeds, SweepActions, SweepAxis, UntilCi, is_metric};
 
+/// The fields of an experiment file (docs/sweeps.md).
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
 struct ExperimentFile {
@@ -43,7 +45,8 @@ enum RawSeeds {
     Range { first: u64, count: u64 },
 }
 
-/// Returns a hint on `message` about the file `name`, if the unknown field is a field of scenarios.
+/// Returns a hint on serde's `message` about the file `name`, if it names an unknown field that is a field of
+/// scenarios.
 fn scenario_field_hint(message: &str, name: &str) -> String {
     let unknown = message.strip_prefix("unknown field `");
     let Some((field, _)) = unknown.and_then(|rest| rest.split_once('`')) else {
@@ -82,7 +85,7 @@ pub struct ExperimentBuilder {
     pub until_ci: Option<String>,
     /// The metrics that must be that narrow [default: see `UntilCi::default_metrics`].
     pub ci_metrics: Option<Vec<String>>,
-    /// The smallest number of seeds of a cell [default: 30].
+    /// The smallest number of seeds of a cell [default: `UntilCi::MIN_SEEDS`].
     pub min_seeds: Option<u64>,
     /// The actions of every run [default: none].
     pub actions: Option<SweepActions>,
@@ -152,7 +155,7 @@ impl ExperimentBuilder {
         }
         for (path, value) in flatten_table(raw.set) {
             let origin = format!("`set` of {name}");
-            let current = builder.rename(&path, &origin);
+            let current = builder.current_path(&path, &origin);
             if builder.set.contains_key(&current) {
                 let allowed =
                     format!("is set under its former and its current name by {origin}; remove the former name");
@@ -172,7 +175,7 @@ impl ExperimentBuilder {
             let allowed = format!("an empty list leaves no runs; give at least one value; set by {origin}");
             return Err(SweepError::invalid(path, "[]", allowed));
         }
-        let path = &self.rename(path, origin);
+        let path = &self.current_path(path, origin);
         let axis = SweepAxis {
             path: path.clone(),
             values,
@@ -189,7 +192,7 @@ impl ExperimentBuilder {
     }
 
     /// Returns today's path of the field at `path`, and warns about a former path, set by `origin`.
-    pub fn rename(&mut self, path: &str, origin: &str) -> String {
+    pub fn current_path(&mut self, path: &str, origin: &str) -> String {
         let current = current_field(path);
         if current != path {
             let origin = format!("set by {origin}");
@@ -198,7 +201,8 @@ impl ExperimentBuilder {
         current
     }
 
-    /// Returns this builder with its missing values filled from `defaults`.
+    /// Returns this builder with its missing values filled from `defaults`, field by field in `set` and `axes`. A field
+    /// set here and swept in `defaults`, or the reverse, is an error of [`Self::build`].
     #[must_use]
     pub fn with_defaults_from(self, defaults: Self) -> Self {
         let (mut set, mut axes, mut warnings) = (defaults.set, defaults.axes, defaults.warnings);
@@ -207,7 +211,7 @@ impl ExperimentBuilder {
         warnings.extend(self.warnings);
         // The folder and the copy belong to their scenario, so the three are taken together.
         let (scenario, base_dir, scenario_copy) = match self.scenario {
-            Some(own) => (Some(own), self.base_dir, self.scenario_copy),
+            Some(scenario) => (Some(scenario), self.base_dir, self.scenario_copy),
             None => (defaults.scenario, defaults.base_dir, defaults.scenario_copy),
         };
         Self {

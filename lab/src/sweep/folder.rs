@@ -7,9 +7,12 @@
 //! | `runs.journal` | a line for every finished run, from which an interrupted sweep resumes |
 //! | `results.parquet` or `results.csv` | the table, once all runs are complete |
 //!
-//! `docs/results.md` shows the folder to users. The number of seeds in the journal's first line is authoritative. To
-//! raise it, the journal changes first; then the table of fewer seeds is removed, and `experiment.toml` is written. An
-//! interruption in between leaves a folder that can be resumed.
+//! `docs/results.md` shows the folder to users; `deploy/src/commands/sweep/` and `python/src/runs.rs` run sweeps, and
+//! `deploy/src/commands/compare/sweep.rs` repeats the names. In `sweep`, only this file and the journal do I/O.
+//!
+//! The number of seeds in the journal's first line is authoritative. To raise it, the journal changes first; then the
+//! table of fewer seeds is removed, and `experiment.toml` is written. An interruption in between leaves a folder that
+//! can be resumed.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -40,6 +43,7 @@ pub struct Sweep<'g> {
     shard: Shard,
     folder: PathBuf,
     journal: Journal,
+    /// The runs found on opening, plus the reused ones.
     known_runs: usize,
 }
 
@@ -122,7 +126,7 @@ impl<'g> Sweep<'g> {
         self.journal.dropped_lines()
     }
 
-    /// The number of finished runs.
+    /// The number of finished runs of the shard, known and new.
     pub fn finished_runs(&self) -> usize {
         self.journal
             .runs()
@@ -131,37 +135,37 @@ impl<'g> Sweep<'g> {
             .count()
     }
 
-    /// Copies missing runs from `known` into the journal, and returns their number.
+    /// Copies missing runs from `reusable` into the journal, and returns their number.
     ///
     /// # Errors
     /// If the journal cannot be written.
-    pub fn reuse(&mut self, known: &ReusableRuns) -> Result<usize, SweepError> {
-        if known.is_empty() {
+    pub fn reuse(&mut self, reusable: &ReusableRuns) -> Result<usize, SweepError> {
+        if reusable.is_empty() {
             return Ok(0);
         }
         let seeds = self.grid.experiment.seeds;
         let script = script_of(self.grid.experiment.actions.as_ref());
-        let mut reused = 0;
-        for (number, cell) in self.grid.cells.iter().enumerate() {
-            for seed in self.shard.seed_indices(number as u64, seeds.count) {
+        let mut reused_runs = 0;
+        for (cell_index, cell) in self.grid.cells.iter().enumerate() {
+            for seed in self.shard.seed_indices(cell_index as u64, seeds.count) {
                 let run_index = RunIndex {
-                    cell: number as u32,
+                    cell: cell_index as u32,
                     seed: seed as u32,
                 };
                 if self.journal.runs().contains_key(&run_index) {
                     continue;
                 }
                 let scenario = cell.with_seed(seeds.first + seed);
-                if let Some(entry) = known.find(script, Hash(scenario.hash())) {
+                if let Some(entry) = reusable.find(script, Hash(scenario.hash())) {
                     // No work is at risk, because the table still holds the run: it does not count towards a sync.
                     self.journal.add(run_index, entry.clone(), 0)?;
-                    reused += 1;
+                    reused_runs += 1;
                 }
             }
         }
         self.journal.sync()?;
-        self.known_runs += reused;
-        Ok(reused)
+        self.known_runs += reused_runs;
+        Ok(reused_runs)
     }
 
     fn is_in_shard(&self, run_index: RunIndex) -> bool {
@@ -169,7 +173,7 @@ impl<'g> Sweep<'g> {
             .contains(u64::from(run_index.cell), u64::from(run_index.seed))
     }
 
-    /// Executes the missing runs on `threads` threads and writes the table. Returns `None` if the observer has stopped
+    /// Executes the missing runs on `threads` threads and writes the table. Returns `None` if `progress` has stopped
     /// it.
     ///
     /// # Errors
@@ -178,9 +182,9 @@ impl<'g> Sweep<'g> {
         &mut self,
         threads: usize,
         format: Format,
-        observer: &impl SweepProgress,
+        progress: &impl SweepProgress,
     ) -> Result<Option<SweepResult>, SweepError> {
-        let Some(cells) = execute_missing(self.grid, self.shard, threads, &mut self.journal, observer)? else {
+        let Some(cells) = execute_missing(self.grid, self.shard, threads, &mut self.journal, progress)? else {
             return Ok(None);
         };
         let table = self.build_table(&cells);
@@ -203,10 +207,9 @@ impl<'g> Sweep<'g> {
 
     fn build_table(&self, summaries: &[CellSummary]) -> Table {
         let mut rows = Vec::with_capacity(self.journal.runs().len());
-        for (number, (cell, summary)) in self.grid.cells.iter().zip(summaries).enumerate() {
-            let cell_number = number as u32;
+        for (cell_index, (cell, summary)) in self.grid.cells.iter().zip(summaries).enumerate() {
             let index_of_seed = |seed: u64| RunIndex {
-                cell: cell_number,
+                cell: cell_index as u32,
                 seed: seed as u32,
             };
             let (preset, policy) = (
@@ -263,16 +266,16 @@ fn script_of(actions: Option<&SweepActions>) -> &str {
 
 /// Explains that the sweep in `folder` has other actions than `grid`; `None` if it has the same ones.
 fn other_actions(grid: &SweepGrid, folder: &Path) -> Option<String> {
-    let draft = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE)).ok()?;
-    let (own, held) = (
+    let existing = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE)).ok()?;
+    let (own_script, existing_script) = (
         script_of(grid.experiment.actions.as_ref()),
-        script_of(draft.actions.as_ref()),
+        script_of(existing.actions.as_ref()),
     );
-    (own != held).then(|| {
+    (own_script != existing_script).then(|| {
         format!(
             "holds the runs of a sweep with other actions: {}; use its script (`action_script` in {EXPERIMENT_FILE} \
              there), or choose another folder",
-            describe_difference(own, held)
+            describe_difference(own_script, existing_script)
         )
     })
 }
@@ -319,25 +322,25 @@ pub fn find_table(folder: &Path) -> Result<PathBuf, SweepError> {
             "it is not the folder of a sweep; name the --out folder of `reveille sweep`".to_owned()
         }));
     };
-    let seeds = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);
-    let requested = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE))
-        .and_then(seeds)
+    let seed_count = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);
+    let requested_seeds = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE))
+        .and_then(seed_count)
         .ok();
     // An unreadable table is not refused here: its reader reports the cause.
     let metadata = TableMetadata::read(&table)
         .ok()
         .filter(|metadata| !metadata.experiment.is_empty());
-    let held = metadata.and_then(|metadata| {
+    let table_seeds = metadata.and_then(|metadata| {
         let draft = ExperimentBuilder::parse(&metadata.experiment, "its experiment", Path::new(""));
-        draft.and_then(seeds).ok()
+        draft.and_then(seed_count).ok()
     });
-    if let (Some(requested), Some(held)) = (requested, held)
-        && requested != held
+    if let (Some(requested_seeds), Some(table_seeds)) = (requested_seeds, table_seeds)
+        && requested_seeds != table_seeds
     {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
-            "its {EXPERIMENT_FILE} asks for {requested} seeds a cell, but {name} holds {held}; repeat the command of \
-             its sweep, or name the table itself"
+            "its {EXPERIMENT_FILE} asks for {requested_seeds} seeds a cell, but {name} holds {table_seeds}; repeat the \
+             command of its sweep, or name the table itself"
         )));
     }
     Ok(table)
@@ -349,7 +352,8 @@ pub fn read_seed_count(grid: &SweepGrid, shard: Shard, folder: &Path) -> Option<
     Journal::read_seed_count(&folder.join(JOURNAL_FILE), &sweep_identity(grid, shard))
 }
 
-/// Returns the identity of a sweep: everything except the seeds per cell, which may be raised.
+/// Returns the identity of a sweep: everything except the seeds per cell, which may be raised. It is part of the
+/// journal's first line: after a change, older sweeps cannot be resumed.
 fn sweep_identity(grid: &SweepGrid, shard: Shard) -> String {
     let mut experiment = grid.experiment.clone();
     experiment.seeds.count = 0;
@@ -358,6 +362,7 @@ fn sweep_identity(grid: &SweepGrid, shard: Shard) -> String {
 }
 
 /// Returns a SHA-256 over the experiment, its number of seeds included, and the scenarios of its cells; hexadecimal.
+/// The default folder of a sweep is named after it: after a change, the same command starts again in another folder.
 pub fn experiment_hash(grid: &SweepGrid) -> String {
     sweep_hash(grid, &grid.experiment)
 }
@@ -367,11 +372,11 @@ fn sweep_hash(grid: &SweepGrid, experiment: &Experiment) -> String {
     let mut hasher = Sha256::new();
     hasher.update(grid.fingerprint().0);
     hasher.update(experiment.to_toml());
-    crate::table::Hash(hasher.finalize().into()).to_string()
+    Hash(hasher.finalize().into()).to_string()
 }
 
-/// The runs of some tables, by what determines a run: its script of actions, empty without one, and the hash of its
-/// scenario, seed included.
+/// The runs of some tables, by the script of actions, empty without one, then by the hash of the scenario, seed
+/// included. Both determine a run.
 #[derive(Debug, Default)]
 pub struct ReusableRuns(BTreeMap<String, BTreeMap<Hash, JournalEntry>>);
 
@@ -410,6 +415,7 @@ impl ReusableRuns {
 /// Length limit of an experiment file, bytes. A script of actions has its own limit; in TOML it can be longer.
 const MAX_EXPERIMENT_BYTES: u64 = 8 << 20;
 
+// Here and not with the other methods, because `experiment_builder.rs` does no I/O.
 impl ExperimentBuilder {
     /// Reads the experiment file at `path`.
     ///

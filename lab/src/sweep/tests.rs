@@ -42,7 +42,7 @@ impl SweepProgress for StopAfterRuns {
             .try_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
     }
     fn finished(&self, _: usize) {}
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed) == 0
     }
 }

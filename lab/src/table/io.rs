@@ -111,7 +111,7 @@ impl Table {
 }
 
 fn open_file(path: &Path) -> Result<File, ReadFailure> {
-    Ok(crate::io::open(path)?)
+    Ok(crate::io::open_regular(path)?)
 }
 
 fn read_csv(path: &Path) -> Result<Table, ReadFailure> {

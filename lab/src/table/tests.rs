@@ -208,7 +208,7 @@ fn a_parquet_file_of_another_version_is_refused() {
         "other.parquet",
         "version 7",
         "by reveille 0.1.0",
-        "reads versions 1 to 3",
+        "reads versions 1 to 4",
     ] {
         assert!(message.contains(part), "{message}");
     }

@@ -109,12 +109,12 @@ pub trait TrainingProgress: Sync {
     /// Reports the end of a complete episode of `entry`; `point` is the last point of its curve.
     fn episode(&self, entry: &TableSet, point: &CurvePoint);
     /// Returns whether to stop. The checkpoint keeps the tables trained so far.
-    fn stop(&self) -> bool;
+    fn should_stop(&self) -> bool;
 }
 
 impl TrainingProgress for () {
     fn episode(&self, _: &TableSet, _: &CurvePoint) {}
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         false
     }
 }
@@ -402,7 +402,7 @@ fn run_episode(
         window: TTIS_BETWEEN_STOP_CHECKS,
         ..RunOptions::default()
     };
-    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
+    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.should_stop()));
     // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
     let mut learned = tables_of(&outcome).filter(|_| outcome.is_complete)?;
     learned

@@ -38,11 +38,11 @@ pub trait TuningProgress: Sync {
     /// Reports the end of the evaluation, once its point is in the history.
     fn point(&self, _point: &TuningPoint) {}
     /// Returns whether to stop, which discards the point in progress.
-    fn stop(&self) -> bool;
+    fn should_stop(&self) -> bool;
 }
 
 impl TuningProgress for () {
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         false
     }
 }
@@ -175,8 +175,8 @@ impl TuningPlan {
                 window: TTIS_BETWEEN_STOP_CHECKS,
                 ..RunOptions::default()
             };
-            let outcome =
-                Run::new(&PreparedRun::without_pilots(&scenario), options).finish(&mut StopWhen(|| observer.stop()));
+            let outcome = Run::new(&PreparedRun::without_pilots(&scenario), options)
+                .finish(&mut StopWhen(|| observer.should_stop()));
             observer.run();
             outcome.is_complete.then_some(outcome.metrics)
         };
@@ -270,7 +270,7 @@ impl<O: TuningProgress> TrainingProgress for EpisodeForwarder<'_, O> {
         self.0.episode();
     }
 
-    fn stop(&self) -> bool {
-        self.0.stop()
+    fn should_stop(&self) -> bool {
+        self.0.should_stop()
     }
 }

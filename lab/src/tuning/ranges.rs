@@ -1,5 +1,8 @@
 //! The search ranges of the weights on a logarithmic scale, and the first pairs to try. A position is a place in the
-//! unit square: the shares of the ranges' logarithms. A resumed tuning draws the pairs again and must draw the same.
+//! unit square: the shares of the ranges' logarithms.
+//!
+//! A resumed tuning must choose the pairs of an uninterrupted one. [`super::Tuner::open`] compares the design only, so
+//! another draw, constant or rounding here silently changes the later pairs of earlier histories.
 
 use libm::{exp, log};
 use reveille_common::rng::{Purpose, Stream};
@@ -11,7 +14,7 @@ pub type WeightPair = [f64; 2];
 
 /// The smallest number of pairs in a design: a surrogate of two variables needs them.
 pub const MIN_DESIGN_PAIRS: usize = 3;
-/// The largest weight in a range.
+/// The largest weight in a range; the error text of [`Ranges::new`] repeats it.
 const MAX_WEIGHT: f64 = 1e6;
 /// The number of Latin hypercubes, of which the one with the widest gaps is used.
 const HYPERCUBES: u32 = 64;
@@ -20,7 +23,7 @@ const FARTHEST_CANDIDATES: u32 = 256;
 /// Distance, as a share of the ranges, up to which two pairs count as equal.
 const SAME_PAIR_DISTANCE: f64 = 2e-3;
 
-/// The ranges of both weights.
+/// The ranges of both weights. The methods rely on the checks of [`Ranges::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ranges {
     /// The smallest and largest μ1.
@@ -61,7 +64,8 @@ impl Ranges {
         })
     }
 
-    /// Returns the position of `pair`, the inverse of [`Self::pair_at`].
+    /// Returns the position of `pair`, the inverse of [`Self::pair_at`]. A pair out of the ranges counts as the closest
+    /// one in them.
     pub fn position(&self, pair: WeightPair) -> [f64; 2] {
         let limits = self.limits();
         [0, 1].map(|i| {
@@ -101,25 +105,25 @@ impl Ranges {
         self.distance_to_closest(pair, known_pairs) <= SAME_PAIR_DISTANCE
     }
 
-    /// Returns a pair far from all of `known_pairs`, drawn from stream `number` of `seed`: the number of the point in
-    /// the history, above 0, because [`design`] draws from stream 0.
-    pub fn draw_farthest(&self, known_pairs: &[WeightPair], seed: u64, number: u64) -> WeightPair {
-        let mut stream = Stream::new(seed, Purpose::Tuning, number);
-        let drawn = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));
-        let best = drawn.map(|pair| (self.distance_to_closest(pair, known_pairs), pair));
-        let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.expect("there are candidates").1
+    /// Returns a pair far from all of `known_pairs`, drawn from the stream `point_number` of `seed`. That is the number
+    /// of the point in the history, above 0, because [`design`] draws from stream 0.
+    pub fn draw_farthest(&self, known_pairs: &[WeightPair], seed: u64, point_number: u64) -> WeightPair {
+        let mut stream = Stream::new(seed, Purpose::Tuning, point_number);
+        let candidates = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));
+        let with_distances = candidates.map(|pair| (self.distance_to_closest(pair, known_pairs), pair));
+        let farthest = with_distances.max_by(|a, b| a.0.total_cmp(&b.0));
+        farthest.expect("there are candidates").1
     }
 }
 
 /// Returns the first pairs to try: `start`, if `ranges` contain it, and a Latin hypercube, `count` in all. `count` is
 /// at least [`MIN_DESIGN_PAIRS`]; `TuningPlan::check` refuses fewer.
 pub fn design(ranges: &Ranges, start: WeightPair, count: usize, seed: u64) -> Vec<WeightPair> {
-    let known: Vec<WeightPair> = Some(start).filter(|pair| ranges.contains(*pair)).into_iter().collect();
-    let hypercube_count = count - known.len();
+    let start_in_ranges: Vec<WeightPair> = Some(start).filter(|pair| ranges.contains(*pair)).into_iter().collect();
+    let hypercube_count = count - start_in_ranges.len();
     let mut stream = Stream::new(seed, Purpose::Tuning, 0);
     let hypercubes = (0..HYPERCUBES).map(|_| {
-        let mut pairs = known.clone();
+        let mut pairs = start_in_ranges.clone();
         let mut smallest_distance = f64::INFINITY;
         for position in hypercube(hypercube_count, &mut stream) {
             let pair = ranges.rounded(ranges.pair_at(position));
@@ -132,7 +136,7 @@ pub fn design(ranges: &Ranges, start: WeightPair, count: usize, seed: u64) -> Ve
     widest.expect("there are hypercubes").1
 }
 
-/// Draws positions of which no two share a row or a column of a grid with `count` of each.
+/// Draws `count` positions, one in each row and each column of a grid of `count` × `count` cells on the unit square.
 fn hypercube(count: usize, stream: &mut Stream) -> Vec<[f64; 2]> {
     let (columns, mut rows): (Vec<usize>, Vec<usize>) = ((0..count).collect(), (0..count).collect());
     stream.shuffle(&mut rows);

@@ -1,5 +1,6 @@
 //! Tests of [`Tuner`] and its parts: ranges, designs, plans, objectives (compared with the totals of a run),
-//! evaluations and history files. With the feature `tune`, the optimiser is tested on a function with a known maximum.
+//! evaluations, their seeds, and history files. With the feature `tune`, the optimiser is tested on a function with a
+//! known maximum.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -73,26 +74,29 @@ impl Proposer for BetweenBestAndLast {
     }
 }
 
-/// Stops during the evaluation of a point.
+/// Stops during the evaluation of the point `point_number`.
 struct StopInPoint {
-    number: usize,
-    current: AtomicUsize,
+    point_number: usize,
+    current_point: AtomicUsize,
 }
 
 impl StopInPoint {
-    fn new(number: usize) -> Self {
-        let current = AtomicUsize::new(0);
-        Self { number, current }
+    fn new(point_number: usize) -> Self {
+        let current_point = AtomicUsize::new(0);
+        Self {
+            point_number,
+            current_point,
+        }
     }
 }
 
 impl TuningProgress for StopInPoint {
     fn begun(&self, number: usize, _: WeightPair) {
-        self.current.store(number, Ordering::Relaxed);
+        self.current_point.store(number, Ordering::Relaxed);
     }
 
-    fn stop(&self) -> bool {
-        self.current.load(Ordering::Relaxed) >= self.number
+    fn should_stop(&self) -> bool {
+        self.current_point.load(Ordering::Relaxed) >= self.point_number
     }
 }
 
@@ -225,10 +229,11 @@ fn objectives_follow_from_the_totals_of_a_run() {
 fn evaluations_and_trainings_use_different_seeds() {
     for seed in [0, 1, 2, 77, u64::MAX] {
         let first_evaluation_seed = evaluation_seed(seed, 0);
-        for (n, episode) in [(1, 0), (100, 11), (1_000_000, 99_999)] {
+        for (devices, episode) in [(1, 0), (100, 11), (1_000_000, 99_999)] {
+            // Repeats the formula of `run_episode` in `training/mod.rs`.
             let training_seed = crate::training::EPISODE_SEED_OFFSET
                 .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
-                .wrapping_add(n << 20)
+                .wrapping_add(devices << 20)
                 .wrapping_add(episode);
             // Far more than the evaluations or episodes of any tuning.
             assert!(training_seed.wrapping_sub(first_evaluation_seed) > 10_000_000_000);
@@ -250,6 +255,7 @@ fn an_evaluation_is_the_same_twice_and_on_any_number_of_threads() {
     assert_eq!(evaluation, evaluate([5.0, 2.0], 2));
     assert_ne!(evaluation, evaluate([0.6, 2.0], 2));
     assert!(evaluation.information > 0.0 && evaluation.energy > 0.0 && evaluation.objective_half_width > 0.0);
+    // The objective of `small_plan` weighs energy and missed events with 1.
     let balance = evaluation.information - evaluation.energy - evaluation.misdetection_pct / 100.0;
     assert!(
         (evaluation.objective - balance).abs() < 1e-12,
@@ -287,9 +293,9 @@ fn an_interrupted_tuning_resumes_to_the_same_result() {
     assert!(resumed.is_torn());
     assert!(resumed.run(3, 1, &BetweenBestAndLast, &()).expect("run"));
     assert_eq!(interrupted.text(), uninterrupted.text());
-    let longer = Tuner::open(small_plan(), &uninterrupted.0, false).expect("found");
+    let reopened = Tuner::open(small_plan(), &uninterrupted.0, false).expect("found");
     assert_eq!(
-        (longer.pairs_left(3), longer.pairs_left(5)),
+        (reopened.pairs_left(3), reopened.pairs_left(5)),
         (0, 2),
         "pairs left with 3 and with 5 iterations"
     );
@@ -320,8 +326,9 @@ fn the_history_of_another_tuning_is_refused() {
     assert_refused(&|plan| plan.ranges.mu2 = (1.0, 6.0), "mu2");
     assert_refused(&|plan| plan.runs = 4, "evaluation");
     assert_refused(&|plan| plan.training.ttis = 101, "training");
-    let other_pairs = file.text().replacen("\n1,", "\n1,1", 1);
-    std::fs::write(&file.0, other_pairs).expect("writable");
+    // A digit in front of μ1 of point 1, a pair of the design.
+    let with_other_pair = file.text().replacen("\n1,", "\n1,1", 1);
+    std::fs::write(&file.0, with_other_pair).expect("writable");
     assert_refused(&|_| {}, "other pairs");
     let restarted = Tuner::open(small_plan(), &file.0, true).expect("forced");
     assert_eq!(restarted.pairs_left(0), 3);
@@ -458,6 +465,7 @@ mod optimiser {
             history.points.push(TuningPoint { weights, evaluation });
         }
         let surface = surface(&ranges, &history).expect("a surface");
+        // 40 is `SURFACE_SIDE` of `bayes.rs`.
         assert_eq!((surface.rows.len(), surface.rows[0].len()), (40, 40));
         for point in &history.points {
             let [column, row] = ranges

@@ -1,5 +1,9 @@
 //! A tuning from its design to its end: evaluates pair after pair, and writes the history after each, so that a killed
 //! tuning resumes. `reveille tune` runs it.
+//!
+//! The choice of a pair must depend on the plan and the history alone, so that a resumed tuning equals an uninterrupted
+//! one. [`Tuner::open`] refuses a history with another header or design, but does not detect another rule for later
+//! pairs.
 
 use std::path::{Path, PathBuf};
 
@@ -15,8 +19,10 @@ use crate::io::{read, replace};
 #[derive(Debug)]
 pub struct Tuner {
     plan: TuningPlan,
+    /// The history file.
     path: PathBuf,
     history: History,
+    /// The first pairs to try, which the first points of the history must have.
     design: Vec<WeightPair>,
     /// Whether the last line of the history file was incomplete.
     is_torn: bool,
@@ -24,7 +30,7 @@ pub struct Tuner {
 
 impl Tuner {
     /// Opens the tuning of `plan`, which [`TuningPlan::check`] has accepted, with the history file at `path`. Points in
-    /// that file are not evaluated again; `force` ignores the file.
+    /// that file are not evaluated again. With `force` the first new point replaces the file.
     ///
     /// # Errors
     /// If the file cannot be read, is not a history, or belongs to another tuning.
@@ -74,8 +80,8 @@ impl Tuner {
         (self.design.len() + iterations).saturating_sub(self.history.points.len())
     }
 
-    /// Evaluates the design and `iterations` more pairs on `threads` threads, and writes the history after each.
-    /// Returns `false` if the observer has stopped it.
+    /// Evaluates the design and `iterations` more pairs on `threads` threads, and writes the history after each pair.
+    /// Skips pairs in the history. Returns `false` if the observer has stopped it.
     ///
     /// # Errors
     /// If a pair cannot be evaluated or proposed, or the history cannot be written.
@@ -102,29 +108,31 @@ impl Tuner {
         Ok(true)
     }
 
-    /// Returns the next pair. If the proposal repeats a known pair, it returns a pair far from all others instead.
+    /// Returns the next pair. If the proposal repeats a known pair, or all objectives are equal, it returns a pair far
+    /// from all others instead.
     fn choose_next(&self, proposer: &impl Proposer) -> Result<WeightPair, TuningError> {
-        let number = self.history.points.len();
-        if let Some(pair) = self.design.get(number) {
+        let point_number = self.history.points.len();
+        if let Some(pair) = self.design.get(point_number) {
             return Ok(*pair);
         }
-        let (ranges, points) = (&self.plan.ranges, self.history.objectives());
-        let values = points.iter().map(|(_, value)| *value);
+        let (ranges, pairs_with_objectives) = (&self.plan.ranges, self.history.objectives());
+        let objectives = pairs_with_objectives.iter().map(|(_, objective)| *objective);
         // Equal objectives give no direction for better ones.
-        let is_flat = values.clone().fold(f64::INFINITY, f64::min) >= values.fold(f64::NEG_INFINITY, f64::max);
-        let tried_pairs: Vec<WeightPair> = points.iter().map(|(pair, _)| *pair).collect();
+        let is_flat = objectives.clone().fold(f64::INFINITY, f64::min) >= objectives.fold(f64::NEG_INFINITY, f64::max);
+        let tried_pairs: Vec<WeightPair> = pairs_with_objectives.iter().map(|(pair, _)| *pair).collect();
         if !is_flat {
-            let proposed = ranges.rounded(proposer.propose(ranges, &points)?);
+            let proposed = ranges.rounded(proposer.propose(ranges, &pairs_with_objectives)?);
             if !ranges.is_close_to_any(proposed, &tried_pairs) {
                 return Ok(proposed);
             }
         }
-        Ok(ranges.draw_farthest(&tried_pairs, self.plan.scenario.run.seed, number as u64))
+        Ok(ranges.draw_farthest(&tried_pairs, self.plan.scenario.run.seed, point_number as u64))
     }
 }
 
 impl History {
-    /// Reads the history in the file at `path`. Also returns whether an incomplete last line was dropped.
+    /// Reads the history in the file at `path`, also for `reveille tune --picture-only`. Also returns whether an
+    /// incomplete last line was dropped.
     ///
     /// # Errors
     /// If the file cannot be read or is not a history.

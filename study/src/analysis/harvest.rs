@@ -1,4 +1,5 @@
 //! Harvest and net energy against λ (Sec. VI-B, Figs. 13 and 14): the closed form, and runs of the device machines.
+//! `reveille analyse harvest`, the figures, the report and the advice about missed events use it.
 //!
 //! The paper holds the consumption of a policy fixed, "as shown in Fig. 8", and calls the harvest minus that
 //! consumption the net energy. [`lambdas_with_positive_net`] does the same. A run cannot, because a device spends no
@@ -186,21 +187,21 @@ pub fn lambdas_with_positive_net(reading: LambdaReading, e_b: f64, spent: f64, t
     if net(best_lambda) <= 0.0 {
         return None;
     }
-    let from = if best_lambda > 0.0 {
+    let lower_end = if best_lambda > 0.0 {
         bisect(&net, 0.0, best_lambda)
     } else {
         0.0
     };
     // The start must be above 0 even if the harvest is largest at λ = 0; otherwise doubling would not end. It ends
     // because the harvest tends to 0.
-    let mut upper = best_lambda.max(1.0 / tau);
-    while net(upper) > 0.0 {
-        upper *= 2.0;
+    let mut beyond_range = best_lambda.max(1.0 / tau);
+    while net(beyond_range) > 0.0 {
+        beyond_range *= 2.0;
     }
-    Some((from, bisect(&net, best_lambda, upper)))
+    Some((lower_end, bisect(&net, best_lambda, beyond_range)))
 }
 
-/// A λ that the paper states, and the policy whose consumption it belongs to.
+/// A λ that the paper states, at one end of a range of consumptions, and the policy whose consumption it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StatedEnd {
     /// λ, per TTI.
@@ -230,7 +231,8 @@ pub struct StatedThreshold {
 
 /// All statements: the text on Fig. 13 (N = 10, 250) and on Fig. 14 (N = 100), which name the policies at both ends. A
 /// test of [`crate::claims`] compares them with a transcript. [`crate::figures::energy`] marks them on the line of
-/// their E_B, and their order numbers the claims for [`crate::report::search`].
+/// their E_B, which must be one of the figures' E_B, and their order numbers the claims for [`crate::report::search`].
+/// docs/reproduction.md contains the reasons.
 ///
 /// A single λ is assigned to the policy that spends least, because the text says that λ "could be as low as" it. At N =
 /// 10 it stands for 0.41 to 0.48 units. That is close to the 0.34 of `random` and far from the 0.83 at the upper end.
@@ -293,6 +295,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
             ..stated
         }
     }
+    // Arguments: N, policies, E_B in units, λ of the policy that spends least, λ of the one that spends most if stated.
     [
         contradicted(
             with_two_lambdas(10, POLICIES_AT_N_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)),
@@ -355,7 +358,7 @@ mod tests {
         load("paper", &overrides).expect("a scenario").scenario
     }
 
-    fn units(units: f64) -> Energy {
+    fn energy_of(units: f64) -> Energy {
         Energy::from_units(units).expect("in range")
     }
 
@@ -364,7 +367,7 @@ mod tests {
             scenario: scenario_with(&["devices=40", "ttis=2000", "policy.name=random"]),
             readings: LambdaReading::ALL.to_vec(),
             lambdas: lambdas.to_vec(),
-            e_b: e_b.iter().map(|&value| units(value)).collect(),
+            e_b: e_b.iter().map(|&value| energy_of(value)).collect(),
             seeds: 6,
         }
     }

@@ -1,4 +1,5 @@
-//! Analysis of the paper's models: closed forms and chains, compared with runs in memory. `reveille analyse` prints it.
+//! Analysis of the paper's models: closed forms and chains, compared with runs in memory. `reveille analyse` prints it,
+//! and docs/analysis.md quotes it. [`crate::figures`], [`crate::report`] and [`crate::misses`] use [`harvest`] too.
 //!
 //! - [`battery`]: the battery's Markov chain and Eq. (8) (Sec. III-B).
 //! - [`transitions`]: the transition probabilities P_m,n (Sec. IV).
@@ -25,7 +26,7 @@ pub enum AnalysisError {
     /// A list of values to study is empty.
     #[error("{list}: the list is empty, so there is nothing to study; give at least one value, for example {example}")]
     EmptyList {
-        /// Name of the list.
+        /// Name of the list, an option of `reveille analyse` without its dashes.
         list: &'static str,
         /// Example of a valid list.
         example: &'static str,
@@ -33,11 +34,11 @@ pub enum AnalysisError {
     /// A value is out of its range.
     #[error("{quantity} = {value}: {requirement}")]
     InvalidValue {
-        /// Name of the quantity.
+        /// Name of the quantity, such as an option of `reveille analyse` without its dashes.
         quantity: &'static str,
         /// Invalid value.
         value: String,
-        /// The requirement on the value: `must be …`.
+        /// The requirement on the value, such as `must be …`: the rest of the sentence, without a full stop.
         requirement: String,
     },
 }
@@ -53,7 +54,7 @@ impl AnalysisError {
     }
 }
 
-/// Maximum number of seeds in a study.
+/// Maximum number of seeds in a study. Functions that call [`check_seeds`] repeat it under `Errors`.
 const MAX_SEEDS: u64 = 1_000_000;
 
 /// Checks a number of seeds.

@@ -3,7 +3,8 @@
 //! The paper counts the cost of a *configuration*: O(ϱ^N) for the exhaustive search of the adjusted duty cycle,
 //! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. [`TimedWork::set_up`] is that
 //! configuration. [`TimedWork::run`] is the run after it, and [`TimedWork::prepare_decisions`] the BS's share of that
-//! run: its answers to events. Times vary; only `analyse runtime` shows them.
+//! run: its answers to events. Times vary. `reveille analyse runtime` measures them; docs/analysis.md and
+//! docs/benchmarks.md quote measurements.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::knowledge::Knowledge;
@@ -24,7 +25,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::AnalysisError;
 
-/// Returns the paper's complexity for configuring a policy.
+/// Returns the paper's complexity for configuring a policy, as its entry in the registry states it.
 pub fn paper_complexity(policy: &PolicyChoice) -> &'static str {
     registry::named(policy.name()).map_or("–", |policy| policy.runtime)
 }
@@ -51,7 +52,7 @@ impl TimedWork {
         std::hint::black_box(run.finish(&mut ()));
     }
 
-    /// Prepares `events` events for the BS to decide.
+    /// Prepares `events` events for the BS to decide, with a policy that is configured again, outside the timed calls.
     pub fn prepare_decisions(&self, events: u64) -> TimedDecisions {
         TimedDecisions::new(&prepare(&self.scenario), events)
     }
@@ -149,8 +150,8 @@ impl TimedDecisions {
             if reports.is_empty() {
                 continue;
             }
-            let informations = reports.iter().map(|r| r.information);
-            let mut information = informations.fold(0.0, |so_far, i| knowledge.sensing.fuse(so_far, i));
+            let by_report = reports.iter().map(|r| r.information);
+            let mut information = by_report.fold(0.0, |so_far, i| knowledge.sensing.fuse(so_far, i));
             policy.reports_received(&observe(knowledge, batteries, plan, *tti, information), reports);
             while let Some(woken) = policy.next_wake_up(&observe(knowledge, batteries, plan, *tti, information)) {
                 wake_ups += 1;
@@ -221,20 +222,20 @@ pub fn fit_power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
         logs.iter().map(|l| l.0).sum::<f64>() / n,
         logs.iter().map(|l| l.1).sum::<f64>() / n,
     );
-    let xx: f64 = logs.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
-    if logs.len() < 2 || xx <= 0.0 {
+    let sum_xx: f64 = logs.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
+    if logs.len() < 2 || sum_xx <= 0.0 {
         let requirement = "must hold at least two different values for an exponent to be fitted";
         return Err(AnalysisError::invalid("devices", &points.len(), requirement));
     }
-    let xy: f64 = logs.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
-    let exponent = xy / xx;
+    let sum_xy: f64 = logs.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    let exponent = sum_xy / sum_xx;
     let intercept = mean_y - exponent * mean_x;
-    let residuals: f64 = logs.iter().map(|(x, y)| (y - intercept - exponent * x).powi(2)).sum();
+    let squared_residuals: f64 = logs.iter().map(|(x, y)| (y - intercept - exponent * x).powi(2)).sum();
     // Two parameters are fitted, so two points leave no degree of freedom and no interval.
-    let t = StudentsT::new(0.0, 1.0, n - 2.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
+    let quantile = StudentsT::new(0.0, 1.0, n - 2.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
     Ok(PowerLaw {
         exponent,
-        half_width: t * (residuals / (n - 2.0) / xx).sqrt(),
+        half_width: quantile * (squared_residuals / (n - 2.0) / sum_xx).sqrt(),
         factor: libm::exp(intercept),
     })
 }

@@ -13,33 +13,33 @@ pub struct Citation {
 }
 
 /// The abstract.
-pub(super) const ABSTRACT: Citation = Citation::passage("Abstract");
+pub(super) const ABSTRACT: Citation = Citation::of_passage("Abstract");
 /// The third of the contributions that the introduction lists.
-pub(super) const CONTRIBUTION: Citation = Citation::passage("Sec. I-B, 3rd contribution");
+pub(super) const CONTRIBUTION: Citation = Citation::of_passage("Sec. I-B, 3rd contribution");
 /// The table of parameters.
-pub(super) const PARAMETERS: Citation = Citation::passage("Sec. VI, table of parameters");
+pub(super) const PARAMETERS: Citation = Citation::of_passage("Sec. VI, table of parameters");
 /// The paragraph on the two benchmarks.
-pub(super) const BENCHMARKS: Citation = Citation::passage("Sec. VI, on the benchmarks");
+pub(super) const BENCHMARKS: Citation = Citation::of_passage("Sec. VI, on the benchmarks");
 /// The paragraph on information per event.
-pub(super) const FIG_7: Citation = Citation::passage("Sec. VI-A, on Fig. 7");
+pub(super) const FIG_7: Citation = Citation::of_passage("Sec. VI-A, on Fig. 7");
 /// The paragraph on consumption.
-pub(crate) const FIG_8: Citation = Citation::passage("Sec. VI-A, on Fig. 8");
+pub(crate) const FIG_8: Citation = Citation::of_passage("Sec. VI-A, on Fig. 8");
 /// The paragraph on misdetections.
-pub(super) const FIG_9: Citation = Citation::passage("Sec. VI-A, on Fig. 9");
+pub(super) const FIG_9: Citation = Citation::of_passage("Sec. VI-A, on Fig. 9");
 /// The paragraph on batteries.
-pub(super) const FIGS_10_11: Citation = Citation::passage("Sec. VI-A, on Figs. 10 and 11");
+pub(super) const FIGS_10_11: Citation = Citation::of_passage("Sec. VI-A, on Figs. 10 and 11");
 /// The paragraph on wrong activations.
-pub(super) const FIG_12: Citation = Citation::passage("Sec. VI-A, on Fig. 12");
+pub(super) const FIG_12: Citation = Citation::of_passage("Sec. VI-A, on Fig. 12");
 /// The paragraph on harvest against λ.
-pub(crate) const FIG_13: Citation = Citation::passage("Sec. VI-B, on Fig. 13");
+pub(crate) const FIG_13: Citation = Citation::of_passage("Sec. VI-B, on Fig. 13");
 /// The paragraph on net energy against λ.
-pub(crate) const FIG_14: Citation = Citation::passage("Sec. VI-B, on Fig. 14");
+pub(crate) const FIG_14: Citation = Citation::of_passage("Sec. VI-B, on Fig. 14");
 /// The conclusions.
-pub(super) const CONCLUSIONS: Citation = Citation::passage("Sec. VII");
+pub(super) const CONCLUSIONS: Citation = Citation::of_passage("Sec. VII");
 
 impl Citation {
     /// Cites a passage as a whole.
-    pub(crate) const fn passage(passage: &'static str) -> Self {
+    pub(crate) const fn of_passage(passage: &'static str) -> Self {
         Self { passage, sentence: 0 }
     }
 

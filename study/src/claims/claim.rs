@@ -1,7 +1,7 @@
 //! The types of a claim of the paper, which `reveille report` compares with runs, and the caveats that several figures
 //! share. A [`Claim`] is a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices. The
 //! neighbouring modules hold the claims themselves, one module for each subject. The report and docs/reproduction.md
-//! contain the texts.
+//! contain the texts: `reveille report --page` writes them into the page.
 
 use super::citation::Citation;
 
@@ -108,7 +108,7 @@ impl Statement {
 pub struct Contradiction {
     /// Place of the other statement.
     pub other_citation: Citation,
-    /// Reason why not both can hold.
+    /// Reason why not both can hold, in full sentences.
     pub reason: &'static str,
 }
 
@@ -127,9 +127,9 @@ pub struct Claim {
     pub citation: Citation,
     /// Second place with the same claim.
     pub second_citation: Option<Citation>,
-    /// Chosen reading of an ambiguous sentence; empty otherwise.
+    /// Chosen reading of an ambiguous sentence, in full sentences; empty otherwise.
     pub interpretation: &'static str,
-    /// Reason why the model makes the claim unlikely to be met as written; empty otherwise.
+    /// Reason why the model makes the claim unlikely to be met as written, in full sentences; empty otherwise.
     pub caveat: &'static str,
     /// Contradiction with another statement, if any.
     pub contradicts: Option<Contradiction>,
@@ -206,7 +206,7 @@ pub struct ClaimTopic {
 }
 
 // The numbers in the caveats hold for d_max, η, Ψ, energies and harvest of the presets `paper` and `paper-literal`. The
-// tests of `claims` recompute the numbers of the hexagons and the fixed cycles.
+// tests of `claims` recompute the numbers of the hexagons and the fixed cycles; no test checks the others.
 
 /// Caveat for the 0.72 of q-learning and the genie with 250 devices, Fig. 7.
 pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most the information of its closest device. \

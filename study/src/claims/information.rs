@@ -2,7 +2,7 @@
 //! Numbers are transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by
 //! which figures find claims ([`super::claims_on`]). The order of the claims numbers them for
 //! [`crate::report::search`], so a claim in the middle moves later ones to the other half of the search. Texts appear
-//! in docs/reproduction.md.
+//! in docs/reproduction.md. Two of them repeat the tolerance of 20 % of [`crate::report::judge`].
 
 use super::citation::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
 use super::claim::ClaimQuantity::{Mean, Ratio};

@@ -7,7 +7,8 @@
 //! [`crate::analysis::harvest::STATED_THRESHOLDS`]. A test compares all numbers with a transcript of the sentences.
 //!
 //! The order of the claims numbers them for [`crate::report::search`]: a claim added in the middle moves all later ones
-//! to the other half of that search.
+//! to the other half of that search. A change of a claim or text also changes docs/reproduction.md, which
+//! `reveille report --page` writes from result tables.
 //!
 //! Three kinds of statement are excluded. The first concerns the authors' earlier paper (11 times fewer misdetections,
 //! half the energy), whose method is not simulated here. The second is reasons given for results. The third has no

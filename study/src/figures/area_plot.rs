@@ -1,5 +1,6 @@
 //! Plot of the deployment area with its axes, its legend and its caption, shared by the figures of deployments,
-//! attention and missed events. Nothing but their look depends on it.
+//! attention and missed events. Nothing but their look depends on it. `chart.rs` and `chart_grid.rs` lay out their
+//! titles and captions by the same rules, which are repeated there.
 
 use reveille_common::geometry::{Area, Point};
 
@@ -81,7 +82,7 @@ impl AreaPlot {
     }
 }
 
-/// Draws the title of `scene` in as many lines as it needs. Returns the y of the next line.
+/// Draws `scene.title`, set before, in as many lines as it needs. Returns the y of the next line.
 pub fn draw_title(scene: &mut Scene) -> f64 {
     let mut y = MARGIN + TITLE_SIZE;
     for line in wrap_text(
@@ -96,7 +97,7 @@ pub fn draw_title(scene: &mut Scene) -> f64 {
     y
 }
 
-/// Legend below a plot, in as many lines as it needs.
+/// Legend below a plot, in as many lines as it needs: the position of its next entry.
 #[derive(Clone, Copy, Debug)]
 pub struct Legend {
     x: f64,
@@ -111,23 +112,24 @@ impl Legend {
 
     /// Adds an entry with `text` to `scene`. Returns the centre of its symbol.
     pub fn place(&mut self, scene: &mut Scene, text: &str) -> (f64, f64) {
-        let needed = 14.0 + text_width(text, Weight::Regular, TEXT_SIZE);
-        if self.x > MARGIN && self.x + needed > COLUMN_WIDTH - MARGIN {
+        let entry_width = 14.0 + text_width(text, Weight::Regular, TEXT_SIZE);
+        if self.x > MARGIN && self.x + entry_width > COLUMN_WIDTH - MARGIN {
             (self.x, self.y) = (MARGIN, self.y + LEADING + 2.0);
         }
         scene.text(Text::new(text, (self.x + 14.0, self.y), TEXT_SIZE));
-        let at = (self.x + 6.0, self.y - 0.35 * TEXT_SIZE);
-        self.x += needed + 10.0;
-        at
+        let symbol_centre = (self.x + 6.0, self.y - 0.35 * TEXT_SIZE);
+        self.x += entry_width + 10.0;
+        symbol_centre
     }
 
     /// The base line of the text below.
-    pub const fn end(self) -> f64 {
+    pub const fn next_base_line(self) -> f64 {
         self.y + LEADING + 5.0
     }
 }
 
-/// Draws the description of `scene` from the base line `y` on, and ends the canvas below it.
+/// Draws `scene.description`, set before, from the base line `y` on, and ends the canvas below it. It is the last part
+/// of a figure.
 pub fn draw_caption(scene: &mut Scene, mut y: f64) {
     for line in wrap_text(
         &scene.description.clone(),

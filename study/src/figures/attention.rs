@@ -1,5 +1,6 @@
 //! Attention of a decision of `dt`: a map of its expectation for each device in one TTI, and the attention of some
-//! devices to each of the last Z TTIs. The columns of [`AttentionFigure::csv`] are a file format.
+//! devices to each of the last Z TTIs. `reveille figures attention` writes both; the columns of
+//! [`AttentionFigure::csv`] are a file format.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use reveille_lab::trajectories::record_steps;
 use super::area_plot::{AreaPlot, draw_caption, draw_title};
 use super::deployment::draw_star;
 use super::error::FigureError;
-use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_colour_scale};
+use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour_of, draw_colour_scale};
 use super::path::VectorPath;
 use super::scene::{Paint, Scene, Stroke};
 use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN};
@@ -73,16 +74,16 @@ impl AttentionFigure {
         let shape = settings.weights.shape();
         // The model attends only to the last Z TTIs, so earlier ones need not be replayed through it.
         let first_tti = Tti((tti.0 + 1).saturating_sub(shape.memory as u64));
-        let window = record_steps(scenario, first_tti, tti);
+        let steps = record_steps(scenario, first_tti, tti);
         let mut forward = ForwardPass::new(Arc::clone(&settings.weights), scenario.run.devices as usize);
-        let mut log_expectations = Vec::new();
-        for step in &window {
-            log_expectations = forward.step(&step.tokens).to_vec();
+        let mut outputs = Vec::new();
+        for step in &steps {
+            outputs = forward.step(&step.tokens).to_vec();
         }
         // The first output of a device is about sensing, the second about wake-ups.
-        let log_expectations: Vec<f64> = log_expectations
+        let log_expectations: Vec<f64> = outputs
             .chunks(OUTPUTS)
-            .map(|outputs| f64::from(outputs[0]))
+            .map(|device_outputs| f64::from(device_outputs[0]))
             .collect();
         let mut shown_devices: Vec<usize> = devices.iter().map(|device| *device as usize).collect();
         if shown_devices.is_empty() {
@@ -90,7 +91,7 @@ impl AttentionFigure {
             shown_devices.sort_by(|a, b| log_expectations[*b].abs().total_cmp(&log_expectations[*a].abs()));
             shown_devices.truncate(DEFAULT_DEVICES);
         }
-        let last_devices = window.last().map_or(&[][..], |step| &step.devices[..]);
+        let last_devices = steps.last().map_or(&[][..], |step| &step.devices[..]);
         Ok(Self {
             tti,
             shape,
@@ -98,7 +99,7 @@ impl AttentionFigure {
             attention_shares: forward.attention().to_vec(),
             is_sensing: last_devices.iter().map(|device| device.is_sensing).collect(),
             ttis_since_first_report: (0..log_expectations.len())
-                .map(|j| ttis_since_first_report(&window, j))
+                .map(|j| lag_of_first_report(&steps, j))
                 .collect(),
             log_expectations,
             shown_devices,
@@ -148,9 +149,10 @@ impl AttentionFigure {
     }
 }
 
-/// Returns the number of TTIs from the last first report of device `j` to the end of `window`; `None` without one.
-fn ttis_since_first_report(window: &[TrajectoryStep], j: usize) -> Option<usize> {
-    let before = window.iter().rev().skip(1);
+/// Returns the number of TTIs from the last first report of device `j` to the last of `steps`, which does not count;
+/// `None` without one.
+fn lag_of_first_report(steps: &[TrajectoryStep], j: usize) -> Option<usize> {
+    let before = steps.iter().rev().skip(1);
     (1..)
         .zip(before)
         .find(|(_, step)| step.devices[j].has_reported_first)
@@ -177,14 +179,14 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         .zip(&attention.log_expectations)
     {
         let corners = VectorPath::closed_line(cell.iter().map(|p| plot.to_canvas(*p)));
-        scene.outlined(corners, Paint::Colour(colour(*log, largest)), border);
+        scene.outlined_area(corners, Paint::Colour(colour_of(*log, largest)), border);
     }
     plot.draw_axes(&mut scene);
     for (j, position) in attention.positions.iter().enumerate() {
         let at = plot.to_canvas(*position);
         if attention.is_sensing[j] {
             let blue = Stroke::solid(Paint::Colour(BLUE), 1.2);
-            scene.outlined(VectorPath::circle(at, 2.8), Paint::Paper, blue);
+            scene.outlined_area(VectorPath::circle(at, 2.8), Paint::Paper, blue);
         } else {
             scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 1.0);
         }

@@ -1,7 +1,8 @@
 //! Charts: axes, lines with markers and interval bands, marks for the paper's statements, a legend and a caption.
 //!
-//! The figure modules fill a [`Chart`]; [`Chart::scene`] draws it. The layout fits a journal column, 3.5 inch wide,
-//! with no text below 8 points. Items are drawn from back to front, so that no interval hides a mean.
+//! The figure modules fill a [`Chart`]; [`Chart::scene`] draws it, and `chart_grid.rs` draws several on one page. The
+//! layout fits a journal column, 3.5 inch wide, with no text below 8 points. Items are drawn from back to front, so
+//! that no interval hides a mean.
 
 use super::font::{Weight, text_width, wrap_text};
 use super::note::{Note, Obstacles, place_notes};
@@ -135,7 +136,8 @@ pub struct Chart {
     pub spans: Vec<StatedSpan>,
     /// Labels next to points, most important first. Labels without room are left out.
     pub notes: Vec<Note>,
-    /// Whether values of zero are drawn on the lower border, which is then labelled 0.
+    /// Whether values of zero are drawn on the lower border of a logarithmic y axis, which is then labelled 0. The
+    /// scale must begin below all other values.
     pub has_zero_at_border: bool,
     /// Caption: how to read marks and intervals, and a description of the runs.
     pub caption: String,
@@ -253,11 +255,11 @@ impl PlotFrame<'_> {
         self.draw_data(scene);
     }
 
-    fn x(&self, value: f64) -> f64 {
+    fn canvas_x(&self, value: f64) -> f64 {
         self.left + self.chart.x.position(value) * (self.right - self.left)
     }
 
-    fn y(&self, value: f64) -> f64 {
+    fn canvas_y(&self, value: f64) -> f64 {
         self.bottom - self.chart.y.position(value) * (self.bottom - self.top)
     }
 
@@ -267,7 +269,7 @@ impl PlotFrame<'_> {
             Stroke::solid(Paint::Ink, 0.5).with_opacity(GRID_OPACITY),
         );
         for tick in self.chart.y_ticks() {
-            let y = self.y(tick.value);
+            let y = self.canvas_y(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
                 scene.line(VectorPath::segment((self.left, y), (self.right, y)), grid);
@@ -278,7 +280,7 @@ impl PlotFrame<'_> {
             scene.line(VectorPath::segment((self.left - length, y), (self.left, y)), axis);
         }
         for tick in self.chart.x.ticks() {
-            let x = self.x(tick.value);
+            let x = self.canvas_x(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
                 scene.line(VectorPath::segment((x, self.top), (x, self.bottom)), grid);
@@ -319,7 +321,7 @@ impl PlotFrame<'_> {
         }
         let has_line = |s: &&Series| s.is_joined && s.interval != Interval::BandEdges;
         for series in self.chart.series.iter().filter(has_line) {
-            let points = series.points.iter().map(|p| (self.x(p.x), self.y(p.y)));
+            let points = series.points.iter().map(|p| (self.canvas_x(p.x), self.canvas_y(p.y)));
             scene.line(VectorPath::open_line(points), series.style.stroke());
         }
         for mark in &self.chart.marks {
@@ -327,7 +329,9 @@ impl PlotFrame<'_> {
         }
         for series in self.chart.series.iter().filter(|s| s.has_markers) {
             for point in &series.points {
-                series.style.draw_marker(scene, (self.x(point.x), self.y(point.y)));
+                series
+                    .style
+                    .draw_marker(scene, (self.canvas_x(point.x), self.canvas_y(point.y)));
             }
         }
         self.draw_notes(scene);
@@ -335,10 +339,12 @@ impl PlotFrame<'_> {
 
     fn draw_notes(&self, scene: &mut Scene) {
         let notes = self.chart.notes.iter();
-        let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
+        let notes: Vec<_> = notes
+            .map(|n| ((self.canvas_x(n.x), self.canvas_y(n.y)), n.text.as_str()))
+            .collect();
         let mut obstacles = Obstacles::default();
         for series in &self.chart.series {
-            let to_canvas = |p: &ChartPoint| (self.x(p.x), self.y(p.y));
+            let to_canvas = |p: &ChartPoint| (self.canvas_x(p.x), self.canvas_y(p.y));
             let markers = series.points.iter().map(|p| (to_canvas(p), MARKER_RADIUS));
             obstacles.markers.extend(markers);
             let lines = series
@@ -348,15 +354,20 @@ impl PlotFrame<'_> {
             obstacles.lines.extend(lines.filter(|_| series.is_joined));
             for p in &series.points {
                 let (x, y) = to_canvas(p);
-                let ends = [-1.0, 1.0].map(|side| (self.x(p.x + side * p.x_half_width), y));
+                let ends = [-1.0, 1.0].map(|side| (self.canvas_x(p.x + side * p.x_half_width), y));
                 obstacles.lines.extend(p.x_half_width.is_finite().then_some(ends));
-                let ends = [-1.0, 1.0].map(|side| (x, self.y(p.y + side * p.y_half_width)));
+                let ends = [-1.0, 1.0].map(|side| (x, self.canvas_y(p.y + side * p.y_half_width)));
                 obstacles.lines.extend(p.y_half_width.is_finite().then_some(ends));
             }
         }
         let marks = self.chart.marks.iter();
         // A number next to a hollow mark would be read as the value of the mark.
-        let mark_discs = marks.map(|m| ((self.mark_x(m), self.y(m.stated.values()[0])), 4.0 * MARKER_RADIUS));
+        let mark_discs = marks.map(|m| {
+            (
+                (self.canvas_x_of_mark(m), self.canvas_y(m.stated.values()[0])),
+                4.0 * MARKER_RADIUS,
+            )
+        });
         obstacles.markers.extend(mark_discs);
         for text in place_notes(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
             scene.text(text);
@@ -373,11 +384,11 @@ impl PlotFrame<'_> {
         if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {
             let upper = with_interval
                 .iter()
-                .map(|p| (self.x(p.x), self.y(p.y + p.y_half_width)));
+                .map(|p| (self.canvas_x(p.x), self.canvas_y(p.y + p.y_half_width)));
             let lower = with_interval
                 .iter()
                 .rev()
-                .map(|p| (self.x(p.x), self.y(p.y - p.y_half_width)));
+                .map(|p| (self.canvas_x(p.x), self.canvas_y(p.y - p.y_half_width)));
             scene.area(VectorPath::closed_line(upper.chain(lower)), series.style.paint, 0.25);
         }
         match series.interval {
@@ -387,7 +398,7 @@ impl PlotFrame<'_> {
                 for sign in [1.0, -1.0] {
                     let edge = with_interval
                         .iter()
-                        .map(|p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)));
+                        .map(|p| (self.canvas_x(p.x), self.canvas_y(p.y + sign * p.y_half_width)));
                     scene.line(VectorPath::open_line(edge), series.style.stroke());
                 }
                 return;
@@ -395,10 +406,10 @@ impl PlotFrame<'_> {
         }
         let bar = Stroke::solid(series.style.paint, 0.7);
         for point in with_interval {
-            let x = self.x(point.x);
+            let x = self.canvas_x(point.x);
             let (top, bottom) = (
-                self.y(point.y + point.y_half_width),
-                self.y(point.y - point.y_half_width),
+                self.canvas_y(point.y + point.y_half_width),
+                self.canvas_y(point.y - point.y_half_width),
             );
             let mut path = VectorPath::segment((x, top), (x, bottom));
             path.extend(VectorPath::segment((x - 2.0, top), (x + 2.0, top)));
@@ -406,10 +417,10 @@ impl PlotFrame<'_> {
             scene.line(path, bar);
         }
         for point in series.points.iter().filter(|p| p.x_half_width.is_finite()) {
-            let y = self.y(point.y);
+            let y = self.canvas_y(point.y);
             let (left, right) = (
-                self.x(point.x - point.x_half_width),
-                self.x(point.x + point.x_half_width),
+                self.canvas_x(point.x - point.x_half_width),
+                self.canvas_x(point.x + point.x_half_width),
             );
             let mut path = VectorPath::segment((left, y), (right, y));
             path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
@@ -423,7 +434,7 @@ impl PlotFrame<'_> {
         let edge = |sign: f64| {
             points
                 .iter()
-                .map(move |p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)))
+                .map(move |p| (self.canvas_x(p.x), self.canvas_y(p.y + sign * p.y_half_width)))
         };
         let outline: Vec<(f64, f64)> = edge(1.0).chain(edge(-1.0).rev()).collect();
         scene.area(VectorPath::closed_line(outline), paint, 0.12);
@@ -433,17 +444,17 @@ impl PlotFrame<'_> {
         }
     }
 
-    fn mark_x(&self, mark: &StatedMark) -> f64 {
-        (self.x(mark.x) + mark.x_offset).clamp(self.left + 3.0, self.right + 2.0)
+    fn canvas_x_of_mark(&self, mark: &StatedMark) -> f64 {
+        (self.canvas_x(mark.x) + mark.x_offset).clamp(self.left + 3.0, self.right + 2.0)
     }
 
     fn draw_stated_range(&self, scene: &mut Scene, mark: &StatedMark) {
         let StatedValue::Range(low, high) = mark.stated else {
             return;
         };
-        let x = self.mark_x(mark);
-        let corners = [x - 2.2, self.y(high), x + 2.2, self.y(low)];
-        scene.outlined(
+        let x = self.canvas_x_of_mark(mark);
+        let corners = [x - 2.2, self.canvas_y(high), x + 2.2, self.canvas_y(low)];
+        scene.outlined_area(
             VectorPath::rectangle(corners),
             Paint::Paper,
             Stroke::solid(mark.style.paint, 0.9),
@@ -455,13 +466,13 @@ impl PlotFrame<'_> {
     fn draw_span(&self, scene: &mut Scene, span: &StatedSpan) {
         /// Height of the hatching on the permitted side of a bound, points.
         const HATCH_HEIGHT: f64 = 7.0;
-        let (left, right) = (self.x(span.from), self.x(span.to));
+        let (left, right) = (self.canvas_x(span.from), self.canvas_x(span.to));
         let stroke = Stroke::solid(span.paint, 0.6).with_opacity(0.6);
         let (top, bottom) = match span.stated {
-            StatedValue::Range(low, high) => (self.y(high), self.y(low)),
-            StatedValue::Value(v) => (self.y(v), self.y(v)),
-            StatedValue::Below(v) => (self.y(v), (self.y(v) + HATCH_HEIGHT).min(self.bottom)),
-            StatedValue::Above(v) => ((self.y(v) - HATCH_HEIGHT).max(self.top), self.y(v)),
+            StatedValue::Range(low, high) => (self.canvas_y(high), self.canvas_y(low)),
+            StatedValue::Value(v) => (self.canvas_y(v), self.canvas_y(v)),
+            StatedValue::Below(v) => (self.canvas_y(v), (self.canvas_y(v) + HATCH_HEIGHT).min(self.bottom)),
+            StatedValue::Above(v) => ((self.canvas_y(v) - HATCH_HEIGHT).max(self.top), self.canvas_y(v)),
         };
         let edges = match span.stated {
             StatedValue::Range(..) => vec![top, bottom],
@@ -477,14 +488,14 @@ impl PlotFrame<'_> {
     }
 
     fn draw_stated_point(&self, scene: &mut Scene, mark: &StatedMark) {
-        let x = self.mark_x(mark);
+        let x = self.canvas_x_of_mark(mark);
         let (value, direction) = match mark.stated {
             StatedValue::Range(..) => return,
             StatedValue::Value(value) => (value, 0.0),
             StatedValue::Below(value) => (value, 1.0),
             StatedValue::Above(value) => (value, -1.0),
         };
-        let y = self.y(value);
+        let y = self.canvas_y(value);
         if direction != 0.0 {
             // The arrow stays in the plot. If the bound is at the border, it lies next to the bound.
             let tip = (y + direction * 13.0).clamp(self.top - 4.0, self.bottom);

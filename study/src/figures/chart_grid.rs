@@ -28,18 +28,19 @@ pub struct ChartRow {
 /// A grid of charts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChartGrid {
-    /// Title.
+    /// Title, one line: it is not wrapped.
     pub title: String,
     /// Quantity along y of each column, with its unit.
     pub columns: Vec<String>,
-    /// Rows, at least one.
+    /// Rows, at least one. The legend is drawn from the first chart.
     pub rows: Vec<ChartRow>,
     /// Caption.
     pub caption: String,
 }
 
 impl ChartGrid {
-    /// Gives all charts of each column the y axis that `scale` creates from the ends of the column's axes.
+    /// Replaces the y axes in each column by one axis. `scale` creates it from the number of the column, from 0, and
+    /// the ends of the axes of its charts.
     pub fn share_y_axes(&mut self, scale: impl Fn(usize, Vec<f64>) -> Scale) {
         for column in 0..self.columns.len() {
             let charts = self.rows.iter().filter_map(|row| row.charts.get(column));
@@ -61,9 +62,9 @@ impl ChartGrid {
         y += LEADING + 6.0;
         let column_count = self.columns.len().max(1) as f64;
         let column_width = (PAGE_WIDTH - 2.0 * MARGIN - (column_count - 1.0) * COLUMN_GAP) / column_count;
-        let left = |column: usize| MARGIN + column as f64 * (column_width + COLUMN_GAP);
+        let column_left = |column: usize| MARGIN + column as f64 * (column_width + COLUMN_GAP);
         for (column, name) in self.columns.iter().enumerate() {
-            scene.text(Text::new(name.as_str(), (left(column), y), TEXT_SIZE));
+            scene.text(Text::new(name.as_str(), (column_left(column), y), TEXT_SIZE));
         }
         y += LEADING + 3.0;
         for row in &self.rows {
@@ -74,9 +75,9 @@ impl ChartGrid {
             for (column, chart) in row.charts.iter().enumerate() {
                 let frame = PlotFrame {
                     chart,
-                    left: left(column) + LABEL_WIDTH,
+                    left: column_left(column) + LABEL_WIDTH,
                     top,
-                    right: left(column) + column_width - 4.0,
+                    right: column_left(column) + column_width - 4.0,
                     bottom: top + PLOT_HEIGHT,
                 };
                 frame.draw(&mut scene);

@@ -20,10 +20,10 @@ pub(super) fn contour_segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint,
                 .map(|(i, j)| ((position(i, column_count), position(j, row_count)), value(i, j)));
             let mut crossings = Vec::new();
             for side in 0..4 {
-                let ((a, from), (b, to)) = (corners[side], corners[(side + 1) % 4]);
-                if (from >= level) != (to >= level) {
+                let ((a, value_a), (b, value_b)) = (corners[side], corners[(side + 1) % 4]);
+                if (value_a >= level) != (value_b >= level) {
                     // The two values lie on different sides of the level, so they differ.
-                    let share = (level - from) / (to - from);
+                    let share = (level - value_a) / (value_b - value_a);
                     crossings.push((a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1)));
                 }
             }

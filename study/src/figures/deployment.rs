@@ -1,6 +1,6 @@
 //! Deployment figure: the area with the devices' Voronoi cells and clusters, and one event with the devices involved in
-//! the TTI in which it closed. [`file_name`] names the files of `reveille figures deployment` and the picture in
-//! Python.
+//! the TTI in which it closed. A role needs an arm in `draw_role` and an entry in `draw_legend`. [`file_name`] names
+//! the files of `reveille figures deployment` and the picture in Python.
 
 use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
@@ -84,7 +84,7 @@ pub struct EventScene {
 impl EventScene {
     /// Runs `scenario` up to the TTI in which its event `event` closes. The default is the first event after the
     /// warm-up with several reports and a wake-up. Failing that, it is the first event after the warm-up with a report,
-    /// or else the first event.
+    /// or else the first event. `python/reveille/figures.py` describes this choice to users.
     ///
     /// # Errors
     /// There are more than `MAX_DEVICES` devices, or the event does not exist.
@@ -92,7 +92,7 @@ impl EventScene {
         if scenario.run.devices > MAX_DEVICES {
             return Err(FigureError::TooManyDevices {
                 count: scenario.run.devices,
-                what: "a deployment picture",
+                figure: "a deployment picture",
                 limit: MAX_DEVICES,
                 advice: "give fewer with --devices",
             });
@@ -120,8 +120,8 @@ impl EventScene {
         let mut walk = RunWalk::new(scenario);
         let outcome = walk.run_through(chosen.last);
         let positions = Deployment::new(scenario).positions();
-        let roles = (0..scenario.run.devices).map(DeviceId);
-        let roles = roles.map(|j| role(j, &outcome, walk.state_and_battery(j, chosen.last).0));
+        let devices = (0..scenario.run.devices).map(DeviceId);
+        let roles = devices.map(|j| role_of(j, &outcome, walk.state_and_battery(j, chosen.last).0));
         Ok(Self {
             event: *chosen,
             roles: roles.collect(),
@@ -133,7 +133,8 @@ impl EventScene {
     }
 }
 
-fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRole {
+/// Returns the role of `device`, whose state at the end of the TTI is `state`.
+fn role_of(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRole {
     // Wake-ups first: a woken device that has reported also ends its TTI in S3.
     let wake_up = (1..).zip(&outcome.wake_ups).find(|(_, (woken, _))| *woken == device);
     match wake_up {
@@ -144,7 +145,7 @@ fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRol
         }
         None => {}
     }
-    if outcome.failures.iter().any(|f| f.device == device) {
+    if outcome.duty_failures.iter().any(|f| f.device == device) {
         return DeviceRole::LackedEnergy;
     }
     match state {
@@ -274,7 +275,7 @@ const RING_RADIUS: f64 = 5.2;
 struct ClassMarks {
     /// Class of each device.
     class_of: Vec<u16>,
-    /// Name and number of devices of each class that has devices, with its index, the most frequent first.
+    /// Index, name and number of devices of each class that has devices, the most frequent first.
     ranked: Vec<(u16, String, usize)>,
 }
 
@@ -328,7 +329,7 @@ impl ClassMarks {
 pub(super) fn draw_star(scene: &mut Scene, at: (f64, f64)) {
     let star = VectorPath::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
-    scene.outlined(star, Paint::Colour(VERMILION), border);
+    scene.outlined_area(star, Paint::Colour(VERMILION), border);
 }
 
 fn draw_cross(scene: &mut Scene, (x, y): (f64, f64), size: f64, stroke: Stroke) {
@@ -341,18 +342,18 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
     let (x, y) = at;
     let border = Stroke::solid(Paint::Ink, 0.5);
     match role {
-        DeviceRole::Reporter => scene.outlined(VectorPath::circle(at, 3.4), Paint::Colour(BLUE), border),
+        DeviceRole::Reporter => scene.outlined_area(VectorPath::circle(at, 3.4), Paint::Colour(BLUE), border),
         DeviceRole::Woken(_) => {
             let square = VectorPath::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
-            scene.outlined(square, Paint::Colour(GREEN), border);
+            scene.outlined_area(square, Paint::Colour(GREEN), border);
         }
         DeviceRole::LackedEnergy => draw_cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
         DeviceRole::NoReport => {
             let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
-            scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
+            scene.outlined_area(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
             draw_cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
         }
-        DeviceRole::Sensing => scene.outlined(
+        DeviceRole::Sensing => scene.outlined_area(
             VectorPath::circle(at, 2.8),
             Paint::Paper,
             Stroke::solid(Paint::Colour(BLUE), 1.2),
@@ -364,42 +365,43 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
 
 /// Draws the roles in the figure, with the number of devices in each. Returns the base line of the text below.
 fn draw_legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
-    let count = |is: fn(&DeviceRole) -> bool| event_scene.roles.iter().filter(|role| is(role)).count();
+    let count_roles =
+        |has_role: fn(&DeviceRole) -> bool| event_scene.roles.iter().filter(|role| has_role(role)).count();
     let entries = [
         (
             DeviceRole::Reporter,
             "S1, reported",
-            count(|r| matches!(r, DeviceRole::Reporter)),
+            count_roles(|r| matches!(r, DeviceRole::Reporter)),
         ),
         (
             DeviceRole::Woken(1),
             "woken, reported",
-            count(|r| matches!(r, DeviceRole::Woken(_))),
+            count_roles(|r| matches!(r, DeviceRole::Woken(_))),
         ),
         (
             DeviceRole::LackedEnergy,
             "lacked E_Tx",
-            count(|r| matches!(r, DeviceRole::LackedEnergy)),
+            count_roles(|r| matches!(r, DeviceRole::LackedEnergy)),
         ),
         (
             DeviceRole::NoReport,
             "woken, no report",
-            count(|r| matches!(r, DeviceRole::NoReport)),
+            count_roles(|r| matches!(r, DeviceRole::NoReport)),
         ),
         (
             DeviceRole::Sensing,
             "S1, nothing to report",
-            count(|r| matches!(r, DeviceRole::Sensing)),
+            count_roles(|r| matches!(r, DeviceRole::Sensing)),
         ),
         (
             DeviceRole::Asleep,
             "S4, asleep",
-            count(|r| matches!(r, DeviceRole::Asleep)),
+            count_roles(|r| matches!(r, DeviceRole::Asleep)),
         ),
         (
             DeviceRole::WithoutPower,
             "no power",
-            count(|r| matches!(r, DeviceRole::WithoutPower)),
+            count_roles(|r| matches!(r, DeviceRole::WithoutPower)),
         ),
     ];
     let mut legend = Legend::new(y);
@@ -409,7 +411,7 @@ fn draw_legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
         let at = legend.place(scene, &format!("{text} ({count})"));
         draw_role(scene, role, at);
     }
-    legend.end()
+    legend.next_base_line()
 }
 
 fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {

@@ -38,7 +38,7 @@ const NET_N: u32 = 100;
 const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
 /// Range of the y axis of Fig. 14, units per device and TTI; lines end where they leave it.
 const NET_RANGE: (f64, f64) = (-0.4, 1.0);
-/// Devices, TTIs and runs of the measured harvests.
+/// Devices, TTIs and runs of the measured harvests; the captions state them.
 const MEASUREMENT_SIZE: (u32, u64, u64) = (20, 2000, 8);
 
 /// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in `preset`.
@@ -88,7 +88,7 @@ fn curve_lambdas() -> impl Iterator<Item = f64> {
 }
 
 /// Computes the mean harvest by Eq. (5), units per TTI, for τ = 1 as in the paper's figures.
-fn closed_form(e_b: f64, lambda: f64) -> f64 {
+fn mean_harvest(e_b: f64, lambda: f64) -> f64 {
     e_b * LambdaReading::Eq5.probability(lambda, 1.0)
 }
 
@@ -114,12 +114,11 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
         let Some([(least_policy, least), (most_policy, most)]) = extreme_consumptions(condition, n) else {
             continue;
         };
-        let (least, most) = (least.mean, most.mean);
         // A band is a line with a half-width, so it is drawn around its middle.
-        let half_width = 0.5 * (most - least);
+        let half_width = 0.5 * (most.mean - least.mean);
         let ends = [LAMBDA_RANGE.0, LAMBDA_RANGE.1].map(|x| ChartPoint {
             x,
-            y: least + half_width,
+            y: least.mean + half_width,
             y_half_width: half_width,
             x_half_width: f64::NAN,
         });
@@ -131,16 +130,16 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
             interval: Interval::BandEdges,
             points: ends.to_vec(),
         });
-        let [least, most] = [least, most].map(|x| format_significant(x, 3));
+        let [least_text, most_text] = [least, most].map(|spent| format_significant(spent.mean, 3));
         let _ = write!(
             bands,
-            " Spent at N = {n}: {least} ({least_policy}) to {most} ({most_policy})."
+            " Spent at N = {n}: {least_text} ({least_policy}) to {most_text} ({most_policy})."
         );
     }
     for (e_b, style) in E_B_UNITS.into_iter().zip(e_b_styles()) {
         let line = curve_lambdas().map(|x| ChartPoint {
             x,
-            y: closed_form(e_b, x),
+            y: mean_harvest(e_b, x),
             y_half_width: f64::NAN,
             x_half_width: f64::NAN,
         });
@@ -199,7 +198,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         for (e_b, style) in E_B_UNITS.into_iter().zip(e_b_styles()) {
             let net = curve_lambdas().map(|x| ChartPoint {
                 x,
-                y: closed_form(e_b, x) - spent,
+                y: mean_harvest(e_b, x) - spent,
                 y_half_width: half_width,
                 x_half_width: f64::NAN,
             });
@@ -268,7 +267,7 @@ fn stated_marks(stated: &harvest::StatedThreshold) -> impl Iterator<Item = State
     stated.ends().map(move |end| StatedMark {
         x: end.lambda,
         x_offset: 0.0,
-        stated: StatedValue::Value(closed_form(e_b, end.lambda)),
+        stated: StatedValue::Value(mean_harvest(e_b, end.lambda)),
         style,
     })
 }
@@ -333,18 +332,19 @@ pub fn harvest_csv(points: &[HarvestPoint]) -> String {
     out
 }
 
-/// Formats the data of Fig. 14 as CSV: the lines, and the points with their half-widths.
+/// Formats the data of Fig. 14 as CSV: the lines, and the points with their half-widths. In `chart`, of [`net_chart`],
+/// the measured points follow their line.
 pub fn net_csv(chart: &Chart) -> String {
     let mut out = String::from("line,kind,lambda,net,half_width_95\n");
-    let mut line = "";
+    let mut line_name = "";
     for series in &chart.series {
         let kind = if series.is_joined { "closed form" } else { "measured" };
         if series.is_joined {
-            line = &series.name;
+            line_name = &series.name;
         }
         for ChartPoint { x, y, y_half_width, .. } in &series.points {
             // Quoted, since the names of lines contain commas.
-            let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{}", half_width_cell(*y_half_width));
+            let _ = writeln!(out, "\"{line_name}\",{kind},{x},{y},{}", half_width_cell(*y_half_width));
         }
     }
     out

@@ -1,5 +1,6 @@
 //! Errors in requests for figures. The texts go to the user of `reveille figures`, so they name options and the fix.
-//! `deploy/src/commands/figures.rs` adds a hint to `UnknownField`.
+//! `deploy/src/commands/figures.rs` adds a hint to `UnknownField`. The Python package passes the texts on as the
+//! messages of its exceptions, options included.
 
 use reveille_bs::policy::q_learning::learned::Lookback;
 use thiserror::Error;
@@ -82,7 +83,7 @@ pub enum FigureError {
         /// Number of devices in the run.
         count: u32,
     },
-    /// The range of TTIs is empty, too long or outside the run.
+    /// The range of TTIs is empty, too long or outside the run. The text repeats the limits of a timeline.
     #[error("TTIs {from} to {to}: must be 10 to 2000 TTIs within 0 to {}, the TTIs of the run", ttis - 1)]
     NoWindow {
         /// First TTI.
@@ -93,12 +94,12 @@ pub enum FigureError {
         ttis: u64,
     },
     /// Too many devices for a legible figure.
-    #[error("{count} devices: {what} shows at most {limit}; {advice}")]
+    #[error("{count} devices: {figure} shows at most {limit}; {advice}")]
     TooManyDevices {
         /// Requested number of devices.
         count: u32,
         /// Kind of figure.
-        what: &'static str,
+        figure: &'static str,
         /// Largest number of devices that the figure can show.
         limit: u32,
         /// Advice for the user.
@@ -106,9 +107,9 @@ pub enum FigureError {
     },
     /// The file has no table for this number of devices with this window.
     #[error(
-        "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; train the missing tables \
-            with reveille train q-learning --devices {devices} --windows {window} --out FILE",
-        own = .window.describe()
+        "N = {devices}: {file} has tables for {known} devices with {requested}, and for {windows}; train the missing \
+         tables with reveille train q-learning --devices {devices} --windows {window} --out FILE",
+        requested = .window.describe()
     )]
     NoEntry {
         /// Requested N.
@@ -129,12 +130,12 @@ pub enum FigureError {
         file: String,
     },
     /// Too many items for a legible figure of learning curves.
-    #[error("{count} {what}: a figure of learning curves shows at most {limit}; give fewer")]
+    #[error("{count} {items}: a figure of learning curves shows at most {limit}; give fewer")]
     TooManyCurves {
         /// Number of items.
         count: usize,
         /// Kind of item that is counted.
-        what: &'static str,
+        items: &'static str,
         /// Largest number of items that the figure can show.
         limit: usize,
     },

@@ -24,7 +24,7 @@ pub(crate) struct Glyph {
 }
 
 /// Parses the font. This reads only its table directory, so the result is not cached.
-fn face(weight: Weight) -> Face<'static> {
+fn parse_face(weight: Weight) -> Face<'static> {
     let data = match weight {
         Weight::Regular => dejavu::sans_condensed::regular(),
         Weight::Bold => dejavu::sans_condensed::bold(),
@@ -34,25 +34,25 @@ fn face(weight: Weight) -> Face<'static> {
 
 /// Returns the font units per em.
 pub(crate) fn units_per_em(weight: Weight) -> f64 {
-    f64::from(face(weight).units_per_em())
+    f64::from(parse_face(weight).units_per_em())
 }
 
 /// Returns the glyphs of `text` with their positions along the base line, and the total length, in font units. A
 /// missing letter becomes the font's box for missing glyphs.
 pub(crate) fn lay_out_glyphs(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
-    let face = face(weight);
-    let mut at = 0;
+    let face = parse_face(weight);
+    let mut next_position = 0;
     let glyphs = text
         .chars()
         .map(|letter| {
             // Glyph 0 of a font is its box for missing letters.
             let id = face.glyph_index(letter).unwrap_or(GlyphId(0));
-            let place = at;
-            at += u32::from(face.glyph_hor_advance(id).unwrap_or(0));
-            (Glyph { weight, id: id.0 }, place)
+            let position = next_position;
+            next_position += u32::from(face.glyph_hor_advance(id).unwrap_or(0));
+            (Glyph { weight, id: id.0 }, position)
         })
         .collect();
-    (glyphs, at)
+    (glyphs, next_position)
 }
 
 /// Returns the length of `text`, points.
@@ -63,7 +63,7 @@ pub(crate) fn text_width(text: &str, weight: Weight, size: f64) -> f64 {
 /// Returns whether the font has every letter of `text`.
 #[cfg(test)]
 pub(crate) fn has_all_glyphs(text: &str, weight: Weight) -> bool {
-    let face = face(weight);
+    let face = parse_face(weight);
     text.chars().all(|letter| face.glyph_index(letter).is_some())
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn has_all_glyphs(text: &str, weight: Weight) -> bool {
 pub(crate) fn outline(glyph: Glyph) -> VectorPath {
     let mut pen = OutlinePen(VectorPath::default());
     // A letter without an outline leaves the path empty.
-    let _bounds = face(glyph.weight).outline_glyph(GlyphId(glyph.id), &mut pen);
+    let _bounds = parse_face(glyph.weight).outline_glyph(GlyphId(glyph.id), &mut pen);
     pen.0
 }
 

@@ -1,7 +1,8 @@
 //! Information, the objective of P1, against energy for one N, with a line through a policy's knob settings.
 //!
 //! Knobs are settings that only the base station uses: policy settings and the ranking of wake-ups. Conditions that
-//! differ in any other field get separate figures. The columns of the CSV are a file format.
+//! differ in any other field get separate figures. A knob must not change the floor, which is taken from one condition.
+//! The columns of the CSV are a file format.
 
 use std::fmt::Write as _;
 
@@ -11,12 +12,12 @@ use reveille_lab::series::{self, RANKING};
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::floor;
 use super::note::Note;
-use super::pareto::{ENERGY_METRIC, GENIE, P1_METRIC, point, scales_from_zero};
+use super::pareto::{ENERGY_METRIC, GENIE, P1_METRIC, scales_from_zero, trade_off_point};
 use super::results::RunCondition;
 use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 
-/// Name in commands and files.
+/// Name in `--only` and in file names, which docs/figures-and-report.md lists.
 pub const NAME: &str = "front";
 /// Preset for which relaxed bounds exist.
 const BOUND_PRESET: &str = "paper";
@@ -47,8 +48,8 @@ struct PolicyLine<'c> {
 /// A policy with one setting of its knobs.
 struct KnobSetting<'c> {
     condition: &'c RunCondition,
-    /// Values of the policy's own knobs.
-    knobs: Vec<&'c str>,
+    /// Values of the policy's settings that differ from the preset.
+    knob_values: Vec<&'c str>,
     point: ChartPoint,
 }
 
@@ -98,22 +99,22 @@ fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition
         series.push(floor::bound_series(bound));
     }
     // The conditions of a group differ in knobs alone, which change neither layout nor energies.
-    let floor = group[0]
+    let floor_energy = group[0]
         .scenario
         .as_ref()
         .and_then(|scenario| floor::floor_within_harvest(scenario, n));
     // The floor is an upright line over the whole axis, so y is scaled before it is added.
     let [_, y] = scales_from_zero(&series, &[]);
     series.extend(
-        floor.map(|x| floor::floor_series(vec![floor::exact_point(x, 0.0), floor::exact_point(x, y.ends().1)])),
+        floor_energy.map(|x| floor::floor_series(vec![floor::exact_point(x, 0.0), floor::exact_point(x, y.ends().1)])),
     );
     // Scaled a second time, since the floor may lie beyond all points.
     let [x, y] = scales_from_zero(&series, &[]);
-    let caption = caption(n, other_changes, group, (floor.is_some(), has_bound));
+    let caption = format_caption(n, other_changes, group, (floor_energy.is_some(), has_bound));
     Some(ParetoFront {
         n,
         other_changes: other_changes.to_vec(),
-        csv: csv(n, &lines),
+        csv: format_csv(n, &lines),
         chart: Chart {
             title: format!("Information against energy, N = {n}"),
             x_label: Metrics::axis_label(ENERGY_METRIC).to_owned(),
@@ -135,12 +136,12 @@ fn policy_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<PolicyLine<'c>> {
     let mut lines: Vec<PolicyLine<'c>> = Vec::new();
     for condition in group {
         for name in condition.policies() {
-            let Some(point) = point(P1_METRIC, condition, name, n) else {
+            let Some(point) = trade_off_point(P1_METRIC, condition, name, n) else {
                 continue;
             };
             let setting = KnobSetting {
                 condition,
-                knobs: knobs(condition, name),
+                knob_values: own_knob_values(condition, name),
                 point,
             };
             match lines.iter_mut().find(|line| line.name == name) {
@@ -169,8 +170,8 @@ fn run_digests(condition: &RunCondition, name: &str, n: u32) -> Vec<(u64, [u8; 3
     condition.runs(name, n).map(|row| (row.seed, row.digest.0)).collect()
 }
 
-/// Returns the values of the policy's own knobs.
-fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
+/// Returns the values of the policy's settings that differ from the preset: its knobs without the ranking.
+fn own_knob_values<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
     let prefix = format!("policy.{}.", series::split_policy(name).0);
     let own_fields = condition.all_changes().filter(|(path, _)| path.starts_with(&prefix));
     own_fields.map(|(_, value)| value.as_str()).collect()
@@ -194,7 +195,7 @@ impl PolicyLine<'_> {
         let note = |setting: &KnobSetting<'_>| Note {
             x: setting.point.x,
             y: setting.point.y,
-            text: setting.knobs.join(", "),
+            text: setting.knob_values.join(", "),
         };
         let labelled = self.settings.iter().filter(|_| self.settings.len() > 1);
         labelled.map(note).filter(|note| !note.text.is_empty()).collect()
@@ -212,7 +213,8 @@ fn bound_points(n: u32, other_changes: &[(String, String)], group: &[&RunConditi
     floor::relaxed_bounds(&scenario.layout, n)
 }
 
-fn caption(
+/// Formats the caption. The last argument states whether the floor and the relaxed bound are drawn.
+fn format_caption(
     n: u32,
     other_changes: &[(String, String)],
     group: &[&RunCondition],
@@ -244,7 +246,7 @@ fn caption(
     text
 }
 
-fn csv(n: u32, lines: &[PolicyLine<'_>]) -> String {
+fn format_csv(n: u32, lines: &[PolicyLine<'_>]) -> String {
     let mut out =
         format!("policy,setting,n,{ENERGY_METRIC},energy_half_width_95,{P1_METRIC},info_half_width_95,runs\n");
     for line in lines {

@@ -1,18 +1,20 @@
-//! Heat maps with a colour and a number in every cell; zero is in the middle of the colour scale.
+//! Heat maps with a colour and a number in every cell that has a value; zero is in the middle of the colour scale.
 //!
 //! The colours run from dark blue through grey to light yellow. Their lightness increases throughout, so they suit
-//! colour-blind readers and print without colours. The figures of `q_table`, `attention` and `tuning` use them.
+//! colour-blind readers and print without colours. `q_table` and `attention` draw such maps, and `tuning` uses the
+//! colours alone. The maps of a figure and their key need the same `scale_end`, the magnitude at its ends.
 
 use libm::sqrt;
 
 use super::chart::hatch_lines;
 use super::font::{Weight, text_width};
 use super::path::{Rect, VectorPath};
-use super::scale::label;
+use super::scale::format_with_step;
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
 use super::style::{LEADING, TEXT_SIZE};
 
-/// Evenly spaced colours from the least value to the largest.
+/// Evenly spaced colours from the least value to the largest. The tests below need rising lightness, grey in the middle
+/// and legible numbers on all of them.
 const RAMP: [Rgb; 5] = [
     Rgb(0x00, 0x22, 0x4E),
     Rgb(0x3D, 0x4B, 0x70),
@@ -43,11 +45,11 @@ pub enum KnowledgeDegree {
 /// A cell of a heat map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HeatCell {
-    /// Value of the cell.
+    /// Value of the cell; not read if it is unknown.
     pub value: f64,
     /// Degree to which the value is known.
     pub knowledge: KnowledgeDegree,
-    /// Whether the cell lies within the bold line.
+    /// Whether the cell lies within the bold line, whose meaning the figure states.
     pub is_framed: bool,
 }
 
@@ -57,7 +59,7 @@ pub enum RowLabels {
     /// A name for each row.
     Names(Vec<String>),
     /// Limits of the rows, one more than there are rows.
-    Ends(Vec<String>),
+    Limits(Vec<String>),
 }
 
 /// A heat map.
@@ -105,12 +107,18 @@ impl HeatMap {
     }
 
     /// Draws the map with its upper left corner at `at`, labels included, `width` points wide, with rows `row_height`
-    /// points high. The colour scale ends at ±`largest`. Returns the y below the map.
-    pub(crate) fn draw(&self, scene: &mut Scene, at: (f64, f64), (width, row_height): (f64, f64), largest: f64) -> f64 {
+    /// points high. The colour scale ends at ±`scale_end`. Returns the y below the map.
+    pub(crate) fn draw(
+        &self,
+        scene: &mut Scene,
+        at: (f64, f64),
+        (width, row_height): (f64, f64),
+        scale_end: f64,
+    ) -> f64 {
         let width_of = |text: &String| text_width(text, Weight::Regular, TEXT_SIZE);
-        let (RowLabels::Names(words) | RowLabels::Ends(words)) = &self.rows;
-        let units = self.columns.iter().map(|(unit, _)| width_of(unit) + 8.0);
-        let widest = words.iter().map(width_of).chain(units).fold(0.0, f64::max);
+        let (RowLabels::Names(labels) | RowLabels::Limits(labels)) = &self.rows;
+        let unit_widths = self.columns.iter().map(|(unit, _)| width_of(unit) + 8.0);
+        let widest = labels.iter().map(width_of).chain(unit_widths).fold(0.0, f64::max);
         let left = at.0 + LEADING + widest + 5.0;
         let columns = self.cells.first().map_or(1, Vec::len);
         let last_limits = self.columns.iter().filter_map(|(_, limits)| limits.last());
@@ -123,7 +131,7 @@ impl HeatMap {
         };
         for (row, cells) in self.cells.iter().enumerate() {
             for (column, cell) in cells.iter().enumerate() {
-                grid.draw_cell(scene, (row, column), cell, largest);
+                grid.draw_cell(scene, (row, column), cell, scale_end);
             }
         }
         grid.draw_map_border_and_cell_frames(scene);
@@ -140,12 +148,12 @@ impl HeatGrid<'_> {
         [left, top, left + wide, top + high]
     }
 
-    fn draw_cell(&self, scene: &mut Scene, (row, column): (usize, usize), cell: &HeatCell, largest: f64) {
+    fn draw_cell(&self, scene: &mut Scene, (row, column): (usize, usize), cell: &HeatCell, scale_end: f64) {
         let corners = self.corners(row, column);
         match cell.knowledge {
             KnowledgeDegree::Unknown => draw_hatching(scene, corners),
             KnowledgeDegree::PartlyKnown | KnowledgeDegree::Known => {
-                let colour = colour(cell.value, largest);
+                let colour = colour_of(cell.value, scale_end);
                 scene.area(VectorPath::rectangle(corners), Paint::Colour(colour), 1.0);
                 if cell.knowledge == KnowledgeDegree::PartlyKnown {
                     draw_corner_mark(scene, corners, contrast_colour(colour));
@@ -206,9 +214,9 @@ impl HeatGrid<'_> {
         }
     }
 
-    /// Draws the labels of rows and columns and the names of the axes, the name of y at the left `edge`. Returns the y
+    /// Draws the labels of rows and columns and the names of the axes, the name of y at `left_edge`. Returns the y
     /// below them.
-    fn draw_labels(&self, scene: &mut Scene, edge: f64) -> f64 {
+    fn draw_labels(&self, scene: &mut Scene, left_edge: f64) -> f64 {
         let rows = self.map.cells.len();
         let row_label = |text: &str, y: f64| {
             Text::new(text, (self.left - 4.0, y + 0.36 * TEXT_SIZE), TEXT_SIZE).anchored(Anchor::End)
@@ -220,7 +228,7 @@ impl HeatGrid<'_> {
                     scene.text(row_label(name, 0.5 * (top + bottom)));
                 }
             }
-            RowLabels::Ends(limits) => {
+            RowLabels::Limits(limits) => {
                 for (row, limit) in limits.iter().enumerate() {
                     scene.text(row_label(limit, self.top + self.cell_size.1 * (rows - row) as f64));
                 }
@@ -230,7 +238,7 @@ impl HeatGrid<'_> {
         // The label of the lowest limit reaches half a line below the cells.
         let mut y = bottom
             + LEADING
-            + if matches!(self.map.rows, RowLabels::Ends(_)) {
+            + if matches!(self.map.rows, RowLabels::Limits(_)) {
                 2.5
             } else {
                 0.5
@@ -248,7 +256,7 @@ impl HeatGrid<'_> {
         let right = self.left + self.cell_size.0 * self.map.cells[0].len() as f64;
         let below = (0.5 * (self.left + right), y + 1.0);
         scene.text(Text::new(self.map.x_label.as_str(), below, TEXT_SIZE).anchored(Anchor::Middle));
-        let middle = (edge + 0.76 * TEXT_SIZE, 0.5 * (self.top + bottom));
+        let middle = (left_edge + 0.76 * TEXT_SIZE, 0.5 * (self.top + bottom));
         let mut label = Text::new(self.map.y_label.as_str(), middle, TEXT_SIZE).anchored(Anchor::Middle);
         label.is_vertical = true;
         scene.text(label);
@@ -261,15 +269,15 @@ const COLOUR_SCALE_WIDTH: f64 = 132.0;
 const COLOUR_SCALE_HEIGHT: f64 = 9.0;
 const COLOUR_COUNT: u32 = 66;
 
-/// Draws the colour scale up to ±`largest` from `at` to the right. Returns the y below it.
-pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
+/// Draws the colour scale up to ±`scale_end` from `at` to the right. Returns the y below it.
+pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), scale_end: f64) -> f64 {
     let (left, top) = (at.0 + 13.0, at.1);
     for i in 0..COLOUR_COUNT {
         let place = |i: u32| left + COLOUR_SCALE_WIDTH * f64::from(i) / f64::from(COLOUR_COUNT);
         let share = 2.0 * (f64::from(i) + 0.5) / f64::from(COLOUR_COUNT) - 1.0;
         // The colours overlap slightly to avoid gaps between them.
         let right = (place(i + 1) + 0.3).min(left + COLOUR_SCALE_WIDTH);
-        let paint = Paint::Colour(blend(share));
+        let paint = Paint::Colour(colour_at(share));
         scene.area(
             VectorPath::rectangle([place(i), top, right, top + COLOUR_SCALE_HEIGHT]),
             paint,
@@ -282,11 +290,11 @@ pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64)
     );
     // The colours follow the square root, so a quarter of the largest value is halfway.
     for (share, value) in [
-        (-1.0, -largest),
-        (-0.5, -0.25 * largest),
+        (-1.0, -scale_end),
+        (-0.5, -0.25 * scale_end),
         (0.0, 0.0),
-        (0.5, 0.25 * largest),
-        (1.0, largest),
+        (0.5, 0.25 * scale_end),
+        (1.0, scale_end),
     ] {
         let x = left + 0.5 * COLOUR_SCALE_WIDTH * (1.0 + share);
         scene.line(
@@ -299,28 +307,34 @@ pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64)
     top + COLOUR_SCALE_HEIGHT + LEADING + 0.24 * TEXT_SIZE
 }
 
-/// Draws the key: the colour scale and the meaning of marks. `framed` describes the cells within the bold line,
-/// `partly_known` the partly known cells, if any. Returns the y below the key.
-pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, partly_known: Option<&str>) -> f64 {
-    let below = draw_colour_scale(scene, at, largest);
+/// Draws the key: the colour scale and the meaning of marks. `framed_text` describes the cells within the bold line,
+/// `partly_known_text` the partly known cells, if any. Unknown cells are "never visited". Returns the y below the key.
+pub fn draw_key(
+    scene: &mut Scene,
+    at: (f64, f64),
+    scale_end: f64,
+    framed_text: &str,
+    partly_known_text: Option<&str>,
+) -> f64 {
+    let below = draw_colour_scale(scene, at, scale_end);
     let top = at.1;
     let mut x = at.0 + 13.0 + COLOUR_SCALE_WIDTH + 22.0;
     let base = top + COLOUR_SCALE_HEIGHT - 1.5;
     let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + COLOUR_SCALE_HEIGHT + 0.5];
-    let entry = |scene: &mut Scene, x: &mut f64, words: &str| {
+    let draw_entry_text = |scene: &mut Scene, x: &mut f64, words: &str| {
         scene.text(Text::new(words, (*x + 19.0, base), TEXT_SIZE));
         *x += 19.0 + text_width(words, Weight::Regular, TEXT_SIZE) + 11.0;
     };
     scene.line(VectorPath::rectangle(swatch(x)), Stroke::solid(Paint::Ink, FRAME_WIDTH));
-    entry(scene, &mut x, framed);
-    if let Some(partly_known) = partly_known {
-        let colour = blend(0.4);
+    draw_entry_text(scene, &mut x, framed_text);
+    if let Some(partly_known_text) = partly_known_text {
+        let colour = colour_at(0.4);
         scene.area(VectorPath::rectangle(swatch(x)), Paint::Colour(colour), 1.0);
         draw_corner_mark(scene, swatch(x), contrast_colour(colour));
-        entry(scene, &mut x, partly_known);
+        draw_entry_text(scene, &mut x, partly_known_text);
     }
     draw_hatching(scene, swatch(x));
-    entry(scene, &mut x, "never visited");
+    draw_entry_text(scene, &mut x, "never visited");
     below
 }
 
@@ -336,18 +350,18 @@ fn draw_corner_mark(scene: &mut Scene, [_, top, right, _]: Rect, paint: Paint) {
     scene.area(VectorPath::closed_line(points), paint, 1.0);
 }
 
-/// Returns the colour of `value` on a scale of ±`largest`. It follows the square root of the share, so that small
+/// Returns the colour of `value` on a scale of ±`scale_end`. It follows the square root of the share, so that small
 /// values are visible.
-pub(super) fn colour(value: f64, largest: f64) -> Rgb {
-    if largest <= 0.0 {
-        return blend(0.0);
+pub(super) fn colour_of(value: f64, scale_end: f64) -> Rgb {
+    if scale_end <= 0.0 {
+        return colour_at(0.0);
     }
-    let share = (value / largest).clamp(-1.0, 1.0);
-    blend(sqrt(share.abs()) * share.signum())
+    let share = (value / scale_end).clamp(-1.0, 1.0);
+    colour_at(sqrt(share.abs()) * share.signum())
 }
 
 /// Returns the colour at `share` of the scale, −1 to 1.
-pub(super) fn blend(share: f64) -> Rgb {
+pub(super) fn colour_at(share: f64) -> Rgb {
     let position = 0.5 * (share + 1.0) * (RAMP.len() - 1) as f64;
     // At the very end of the scale there is no next colour to blend with.
     let lower = (position as usize).min(RAMP.len() - 2);
@@ -363,10 +377,10 @@ fn luminance(Rgb(r, g, b): Rgb) -> f64 {
     0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
 }
 
-/// Returns a text colour that is legible on `ground`: black or white.
-pub(super) fn contrast_colour(ground: Rgb) -> Paint {
+/// Returns a text colour that is legible on `background`: black or white.
+pub(super) fn contrast_colour(background: Rgb) -> Paint {
     let [black, white] = NUMBER_COLOURS;
-    Paint::Colour(if luminance(ground) > LIGHT_LUMINANCE {
+    Paint::Colour(if luminance(background) > LIGHT_LUMINANCE {
         black
     } else {
         white
@@ -378,13 +392,13 @@ pub(super) fn contrast_colour(ground: Rgb) -> Paint {
 pub fn short_number(value: f64) -> String {
     let size = value.abs();
     // The limits lie where rounding would add a digit: 9999.5 would become 10000.
-    for (from, unit, name, step) in [
+    for (min_size, divisor, suffix, step) in [
         (9.95e6, 1e6, "M", 1.0),
         (999_500.0, 1e6, "M", 0.1),
         (9999.5, 1e3, "k", 1.0),
     ] {
-        if size >= from {
-            return format!("{}{name}", label(value / unit, step));
+        if size >= min_size {
+            return format!("{}{suffix}", format_with_step(value / divisor, step));
         }
     }
     let step = if size < 9.995 {
@@ -394,7 +408,7 @@ pub fn short_number(value: f64) -> String {
     } else {
         1.0
     };
-    label(value, step)
+    format_with_step(value, step)
 }
 
 #[cfg(test)]
@@ -403,24 +417,26 @@ mod tests {
 
     #[test]
     fn colours_get_lighter_with_the_value_and_are_grey_at_0() {
-        let luminances: Vec<f64> = (-100..=100).map(|i| luminance(blend(f64::from(i) / 100.0))).collect();
+        let luminances: Vec<f64> = (-100..=100)
+            .map(|i| luminance(colour_at(f64::from(i) / 100.0)))
+            .collect();
         assert!(luminances.windows(2).all(|pair| pair[0] <= pair[1]), "{luminances:?}");
-        let Rgb(r, g, b) = colour(0.0, 5.0);
+        let Rgb(r, g, b) = colour_of(0.0, 5.0);
         assert!(r == g && g == b);
-        assert_eq!([colour(-9.0, 5.0), colour(9.0, 5.0)], [RAMP[0], RAMP[4]]);
+        assert_eq!([colour_of(-9.0, 5.0), colour_of(9.0, 5.0)], [RAMP[0], RAMP[4]]);
         assert_eq!(
-            colour(1.25, 5.0),
-            blend(0.5),
+            colour_of(1.25, 5.0),
+            colour_at(0.5),
             "colours follow the square root of the share"
         );
-        assert_eq!(colour(3.0, 0.0), blend(0.0));
+        assert_eq!(colour_of(3.0, 0.0), colour_at(0.0));
     }
 
     #[test]
     fn numbers_are_legible_on_every_colour() {
         // 4.5 is the minimum of the accessibility guidelines (WCAG, level AA).
         for i in -100..=100 {
-            let background = blend(f64::from(i) / 100.0);
+            let background = colour_at(f64::from(i) / 100.0);
             let Paint::Colour(text) = contrast_colour(background) else {
                 panic!("not a fixed colour")
             };

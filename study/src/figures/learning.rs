@@ -2,7 +2,8 @@
 //! area and N.
 //!
 //! Every panel has its own axis, since rewards vary little within a panel but differ greatly between few and many
-//! devices. The columns of [`csv`] are a file format.
+//! devices. The columns of [`csv`] are a file format. `reveille figures learning` draws and writes both, and takes the
+//! file names from its arguments.
 
 use std::fmt::Write as _;
 
@@ -17,7 +18,7 @@ use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::study::csv_cell;
 use super::style::{LEADING, MARGIN, PAGE_WIDTH, Style, TEXT_SIZE, TITLE_SIZE};
 
-/// Largest number of files in one figure.
+/// Largest number of files in one figure: the number of styles of [`Style::from_palette`].
 const MAX_FILES: usize = 6;
 /// Largest number of rows in one figure.
 const MAX_ROWS: usize = 40;
@@ -70,8 +71,8 @@ impl PanelRow {
         }
     }
 
-    /// Whether the window, and whether the area, is equal in both rows.
-    fn same_window_and_area(&self, other: &Self) -> [bool; 2] {
+    /// Returns whether the window and whether the area is equal in both rows, in this order.
+    fn equal_window_and_area(&self, other: &Self) -> [bool; 2] {
         [
             self.lookback == other.lookback,
             self.surface.to_bits() == other.surface.to_bits(),
@@ -94,7 +95,7 @@ fn panel_rows(sources: &[NamedTables]) -> Vec<PanelRow> {
     rows
 }
 
-/// Returns the curve of `learned` for `row`; empty without such tables.
+/// Returns the curve of the first tables of `learned` for `row`; empty without such tables.
 fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
     let mut entries = learned.entries.iter();
     entries
@@ -107,7 +108,7 @@ fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
 /// # Errors
 /// A file has no learning curve, or there are too many files or rows.
 pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
-    let too_many = |count, what, limit| FigureError::TooManyCurves { count, what, limit };
+    let too_many = |count, items, limit| FigureError::TooManyCurves { count, items, limit };
     if sources.len() > MAX_FILES {
         return Err(too_many(sources.len(), "files", MAX_FILES));
     }
@@ -134,13 +135,15 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     let curve_points = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
     // All panels share x, so its labels are drawn only below the last row.
     let x = Scale::linear([0.0, curve_points.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
-    let is_one_window_and_area = rows.windows(2).fold([true; 2], |[is_one_window, is_one_area], pair| {
-        let [same_window, same_area] = pair[0].same_window_and_area(&pair[1]);
-        [is_one_window && same_window, is_one_area && same_area]
-    });
+    let [is_one_window, is_one_area] = rows
+        .windows(2)
+        .fold([true; 2], |[all_windows_equal, all_areas_equal], pair| {
+            let [same_window, same_area] = pair[0].equal_window_and_area(&pair[1]);
+            [all_windows_equal && same_window, all_areas_equal && same_area]
+        });
     let mut top = y + 7.0;
     for (i, row) in rows.iter().enumerate() {
-        draw_row_name(&mut scene, *row, is_one_window_and_area, top);
+        draw_row_name(&mut scene, *row, [is_one_window, is_one_area], top);
         for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
             let panel = CurvePanel {
                 corners: [*left, top, left + panel_width, top + PANEL_HEIGHT],
@@ -215,13 +218,14 @@ fn draw_legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
 fn shorten_start(text: &str, max_width: f64) -> String {
     let letters: Vec<char> = text.chars().collect();
     let shortened = (0..letters.len()).map(|from| {
-        let mark = if from == 0 { "" } else { "…" };
-        format!("{mark}{}", letters[from..].iter().collect::<String>())
+        let ellipsis = if from == 0 { "" } else { "…" };
+        format!("{ellipsis}{}", letters[from..].iter().collect::<String>())
     });
     let mut fitting = shortened.filter(|text| text_width(text, Weight::Regular, TEXT_SIZE) <= max_width);
     fitting.next().unwrap_or_default()
 }
 
+/// Returns the caption. `lab/src/training` sets the order of the rankings that it names.
 fn caption(sources: &[NamedTables]) -> String {
     let mut text = String::from(
         "A point is an episode on its own deployment: its mean reward and its information (P1), exploration included. \
@@ -262,11 +266,11 @@ impl CurvePanel {
     fn draw(&self, scene: &mut Scene, sources: &[NamedTables], row: PanelRow, quantity: &CurveQuantity) {
         let [left, top, right, bottom] = self.corners;
         let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
-        let scale = Scale::linear(points().map(quantity.value), false);
-        self.draw_axes(scene, scale);
+        let y_scale = Scale::linear(points().map(quantity.value), false);
+        self.draw_axes(scene, y_scale);
         let at = |point: &CurvePoint| {
             let x = left + self.x.position(point.ttis as f64) * (right - left);
-            (x, bottom - scale.position((quantity.value)(point)) * (bottom - top))
+            (x, bottom - y_scale.position((quantity.value)(point)) * (bottom - top))
         };
         for (i, (_, learned)) in sources.iter().enumerate() {
             let (style, curve) = (Style::from_palette(i), curve(learned, row));
@@ -318,7 +322,7 @@ impl CurvePanel {
     }
 }
 
-/// Formats the plotted data as CSV.
+/// Formats the plotted data, with the energy of each episode, as CSV.
 pub fn csv(sources: &[NamedTables]) -> String {
     let mut out = String::from("file,window,n,surface,ttis,reward_per_tti,info_p1,energy_per_device_tti\n");
     for (file, learned) in sources {

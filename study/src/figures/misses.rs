@@ -1,5 +1,6 @@
 //! Figure of missed events: their places in the deployment, with a colour and marker for each cause. [`file_name`]
-//! names the files of `reveille figures misses`.
+//! names the files of `reveille figures misses`. Users' scripts, `docs/reading-results.md` and
+//! `tests/program/misses.rs` have these names.
 
 use reveille_common::geometry::voronoi_cells;
 use reveille_common::totals::MissCause;
@@ -10,13 +11,15 @@ use super::scene::{Paint, Scene, Stroke};
 use super::style::{BLUE, COLUMN_WIDTH, GREEN, GREY, LEADING, MarkerShape, ORANGE, PURPLE, SKY, VERMILION};
 use crate::misses::{Misses, cause_name};
 
-/// Most devices with Voronoi cells; smaller cells would hide the events.
+/// Largest number of devices for which Voronoi cells are drawn; smaller cells would hide the events.
 const MAX_CELLS: usize = 1000;
-/// Size of a missed event, points.
-const MARKER_SIZE: f64 = 2.2;
+/// Half the size of the marker of a missed event, points.
+const EVENT_RADIUS: f64 = 2.2;
+/// Radius of the dot of a device, points.
+const DEVICE_RADIUS: f64 = 1.2;
 
 /// Returns the paint and shape of a cause; `None` is an unknown cause. No two causes share a shape.
-const fn mark(cause: Option<MissCause>) -> (Paint, MarkerShape) {
+const fn cause_style(cause: Option<MissCause>) -> (Paint, MarkerShape) {
     match cause {
         Some(MissCause::OutOfReach) => (Paint::Colour(VERMILION), MarkerShape::TriangleUp),
         Some(MissCause::Removed) => (Paint::Colour(GREY), MarkerShape::Diamond),
@@ -38,7 +41,7 @@ pub fn file_name(misses: &Misses) -> String {
     format!("misses-{policy}-n{}-s{}", run.devices, run.seed)
 }
 
-/// Draws `misses`.
+/// Draws `misses`, of a run at any stage: without a counted event the caption states this.
 pub fn scene(misses: &Misses) -> Scene {
     let scenario = &misses.scenario;
     let mut scene = Scene::new(COLUMN_WIDTH, 0.0);
@@ -58,7 +61,11 @@ pub fn scene(misses: &Misses) -> Scene {
     }
     plot.draw_axes(&mut scene);
     for position in &misses.positions {
-        scene.area(VectorPath::circle(plot.to_canvas(*position), 1.2), Paint::Ink, 0.5);
+        scene.area(
+            VectorPath::circle(plot.to_canvas(*position), DEVICE_RADIUS),
+            Paint::Ink,
+            0.5,
+        );
     }
     for event in &misses.missed {
         draw_miss(&mut scene, event.cause, plot.to_canvas(event.epicentre));
@@ -70,8 +77,8 @@ pub fn scene(misses: &Misses) -> Scene {
 }
 
 fn draw_miss(scene: &mut Scene, cause: Option<MissCause>, at: (f64, f64)) {
-    let (paint, shape) = mark(cause);
-    scene.outlined(shape.path(at, MARKER_SIZE), paint, Stroke::solid(Paint::Paper, 0.3));
+    let (paint, shape) = cause_style(cause);
+    scene.outlined_area(shape.path(at, EVENT_RADIUS), paint, Stroke::solid(Paint::Paper, 0.3));
 }
 
 /// Draws the causes that occur, with their numbers of events. Returns the base line of the text below.
@@ -82,12 +89,12 @@ fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
         draw_miss(scene, cause, at);
     }
     let at = legend.place(scene, "device");
-    scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 0.5);
-    legend.end()
+    scene.area(VectorPath::circle(at, DEVICE_RADIUS), Paint::Ink, 0.5);
+    legend.next_base_line()
 }
 
 fn caption(misses: &Misses) -> String {
-    let (missed, events) = (misses.missed.len(), misses.starts.len());
+    let (missed, events) = (misses.missed.len(), misses.counted_starts.len());
     let share_text = if events == 0 {
         "No event was counted.".to_owned()
     } else {

@@ -12,6 +12,11 @@
 //! tuning::History ─► tuning (contour)                       ┘
 //! ```
 //! A [`scene::Scene`] holds a complete figure; [`svg`] and [`png`] only serialise it. Equal input gives equal bytes.
+//! `reveille figures`, `report` and `tune` and the Python package call these modules. A changed look does not reach
+//! the pictures in `docs/figures/`, which are committed: `docs/figures/make.sh` draws them again.
+//!
+//! Several figures share `area_plot`, `cell_map`, `floor`, `heat`, `note`, `scale`, `stated` and `style`. `paired`
+//! draws nothing: it computes differences for the report and `reveille compare`.
 
 pub mod area_plot;
 pub mod attention;
@@ -50,7 +55,8 @@ pub mod tuning;
 
 pub use error::FigureError;
 
-/// Replaces the characters of `name` that are unsafe in a file name. Users' scripts read the names.
+/// Replaces each character of `name` that is unsafe in a file name by `_`. Users' scripts read the names. Different
+/// names can become equal; [`results::Results::file_labels`] numbers its labels for this reason.
 pub fn to_file_name(name: &str) -> String {
     let keep = |c: char| {
         if c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_') {

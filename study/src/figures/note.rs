@@ -1,5 +1,5 @@
-//! Labels next to points of a chart, placed where there is room. Trade-off charts label points with N or settings.
-//! Only the places of labels depend on it.
+//! Labels next to points of a chart, placed where there is room. `pareto` labels points with N, `front` with settings;
+//! [`super::chart`] places the labels. Only their positions and the choice of omitted labels depend on this module.
 
 use super::font::{Weight, text_width};
 use super::path::{Rect, boxes_overlap};
@@ -30,18 +30,22 @@ pub struct Obstacles {
 /// points. Earlier labels have priority; a label without a free side is omitted.
 pub fn place_notes(labels: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Rect) -> Vec<Text> {
     let markers = obstacles.markers.iter();
-    let markers: Vec<Rect> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
+    let marker_boxes: Vec<Rect> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
     let mut placed: Vec<Text> = Vec::new();
     for &(point, label) in labels {
-        let taken: Vec<Rect> = placed.iter().map(Text::bounds).collect();
+        let placed_boxes: Vec<Rect> = placed.iter().map(Text::bounds).collect();
         let is_free = |text: &Text| {
             let bounds = text.bounds();
             let is_inside =
                 bounds[0] >= frame[0] && bounds[1] >= frame[1] && bounds[2] <= frame[2] && bounds[3] <= frame[3];
-            is_inside && !markers.iter().chain(&taken).any(|other| boxes_overlap(&bounds, other))
+            is_inside
+                && !marker_boxes
+                    .iter()
+                    .chain(&placed_boxes)
+                    .any(|other| boxes_overlap(&bounds, other))
         };
         let crossing_count = |text: &Text| {
-            let bounds = box_of_digits(text);
+            let bounds = box_above_base_line(text);
             obstacles
                 .lines
                 .iter()
@@ -58,8 +62,9 @@ pub fn place_notes(labels: &[((f64, f64), &str)], obstacles: &Obstacles, frame: 
     placed
 }
 
-/// Returns the box of a text without the room for descenders, which numbers do not have.
-fn box_of_digits(text: &Text) -> Rect {
+/// Returns the box of a text without the room for descenders. Numbers have none; the brackets and commas of settings
+/// may cross a line.
+fn box_above_base_line(text: &Text) -> Rect {
     let [left, top, right, _] = text.bounds();
     [left, top, right, text.at.1]
 }
@@ -67,7 +72,7 @@ fn box_of_digits(text: &Text) -> Rect {
 /// Returns whether a line crosses a box: its part between left and right overlaps its part between top and bottom.
 fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
     // Shares of the line at which it enters and leaves the box.
-    let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
+    let (mut entry_share, mut exit_share) = (0.0_f64, 1.0_f64);
     for (start_coordinate, length, low, high) in [
         (from.0, to.0 - from.0, left, right),
         (from.1, to.1 - from.1, top, bottom),
@@ -78,13 +83,13 @@ fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) ->
             }
         } else {
             let (a, b) = ((low - start_coordinate) / length, (high - start_coordinate) / length);
-            (enters, leaves) = (enters.max(a.min(b)), leaves.min(a.max(b)));
+            (entry_share, exit_share) = (entry_share.max(a.min(b)), exit_share.min(a.max(b)));
         }
     }
-    enters < leaves
+    entry_share < exit_share
 }
 
-/// Returns candidate texts right of, left of, above, below and in the corners around a point.
+/// Returns candidate texts right of, left of, above, below and in the corners around a point, in order of preference.
 fn candidate_texts((x, y): (f64, f64), label: &str) -> [Text; 8] {
     /// Gap between the point and the text, points.
     const GAP: f64 = MARKER_RADIUS + 2.0;

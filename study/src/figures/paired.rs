@@ -1,6 +1,7 @@
 //! Differences of a metric between two policies or conditions. Runs with the same seeds have the same deployments,
-//! epicentres and harvests, so the spread is taken over differences of pairs. `report` judges gaps and ratios by it,
-//! and `reveille compare` shows the differences of sweeps.
+//! epicentres and harvests unless their conditions differ in these, so the spread is taken over differences of pairs.
+//! `report` judges gaps and ratios with the functions, and pairs only policies with equal lists of seeds. `reveille
+//! compare` shows [`PairedDifference`], which pairs the common seeds.
 
 use std::collections::BTreeMap;
 
@@ -10,19 +11,19 @@ use reveille_lab::table::ResultRow;
 
 use super::results::RunCondition;
 
-/// A condition and the name of a policy under it.
-pub type Series<'r> = (&'r RunCondition, &'r str);
+/// A condition and the name of a policy under it, as in [`RunCondition::policies`].
+pub type ConditionPolicy<'r> = (&'r RunCondition, &'r str);
 
 /// The difference of a metric between two policies, or between two conditions of a policy, over their common seeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedDifference {
     /// Number of seeds with a value under both policies, ≥ 1.
     pub seeds: usize,
-    /// Mean of the policy over these seeds.
-    pub mean: f64,
+    /// Mean of the compared policy over these seeds.
+    pub compared_mean: f64,
     /// Mean of the reference policy over these seeds.
     pub reference_mean: f64,
-    /// Mean of the policy minus mean of the reference.
+    /// Compared mean minus reference mean.
     pub difference: f64,
     /// Half the width of the 95 % interval of the difference; NaN for one seed.
     pub half_width: f64,
@@ -32,54 +33,60 @@ pub struct PairedDifference {
 }
 
 impl PairedDifference {
-    /// Compares the runs of a policy under a condition with runs of `reference`, both with `n` devices, by `metric`.
-    /// Returns `None` without a common seed under which both have a value.
-    pub fn new(own: Series<'_>, reference: Series<'_>, n: u32, metric: &str) -> Option<Self> {
-        fn by_seed<'r>((condition, policy): Series<'r>, n: u32, metric: &str) -> BTreeMap<u64, &'r ResultRow> {
+    /// Compares runs of `compared` with runs of `reference`, both with `n` devices, by `metric`. Returns `None` without
+    /// a common seed under which both have a value.
+    pub fn new(compared: ConditionPolicy<'_>, reference: ConditionPolicy<'_>, n: u32, metric: &str) -> Option<Self> {
+        fn by_seed<'r>((condition, policy): ConditionPolicy<'r>, n: u32, metric: &str) -> BTreeMap<u64, &'r ResultRow> {
             let defined = condition.runs(policy, n).filter(|row| row.metric(metric).is_some());
             defined.map(|row| (row.seed, row)).collect()
         }
-        let (own_by_seed, theirs_by_seed) = (by_seed(own, n, metric), by_seed(reference, n, metric));
-        let common = own_by_seed
+        let (compared_by_seed, reference_by_seed) = (by_seed(compared, n, metric), by_seed(reference, n, metric));
+        let common = compared_by_seed
             .iter()
-            .filter_map(|(seed, row)| Some((*row, *theirs_by_seed.get(seed)?)));
-        let (own_rows, their_rows): (Vec<&ResultRow>, Vec<&ResultRow>) = common.unzip();
-        let row_pairs = own_rows.iter().zip(&their_rows);
+            .filter_map(|(seed, row)| Some((*row, *reference_by_seed.get(seed)?)));
+        let (compared_rows, reference_rows): (Vec<&ResultRow>, Vec<&ResultRow>) = common.unzip();
+        let row_pairs = compared_rows.iter().zip(&reference_rows);
         let pairs: Vec<(f64, f64)> = row_pairs
-            .filter_map(|(own, theirs)| Some((own.metric(metric)?, theirs.metric(metric)?)))
+            .filter_map(|(compared, reference)| Some((compared.metric(metric)?, reference.metric(metric)?)))
             .collect();
-        let own = MetricEstimate::from_rows(&own_rows, metric)?;
-        let theirs = MetricEstimate::from_rows(&their_rows, metric)?;
-        let (difference, half_width) = difference(&own, &theirs, &pairs);
+        let compared = MetricEstimate::from_rows(&compared_rows, metric)?;
+        let reference = MetricEstimate::from_rows(&reference_rows, metric)?;
+        let (difference, half_width) = difference_and_half_width(&compared, &reference, &pairs);
         Some(Self {
             seeds: pairs.len(),
-            mean: own.estimate.mean,
-            reference_mean: theirs.estimate.mean,
+            compared_mean: compared.mean_estimate.mean,
+            reference_mean: reference.mean_estimate.mean,
             difference,
             half_width,
-            is_paired: paired_half_width(&own, &theirs, &pairs, 1.0).is_some(),
+            is_paired: paired_half_width(&compared, &reference, &pairs, 1.0).is_some(),
         })
     }
 }
 
-/// Returns the difference of two means and half the width of its interval; NaN if that is unknown. Means without
-/// usable `pairs` get the sum of both half-widths.
-pub(crate) fn difference(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> (f64, f64) {
-    let half_width = paired_half_width(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
-    (own.estimate.mean - theirs.estimate.mean, half_width)
+/// Returns `compared` − `reference` of two means and half the width of its interval; NaN if that is unknown. `pairs`
+/// are values of both, in this order, by seed. Means without usable `pairs` get the sum of both half-widths.
+pub(crate) fn difference_and_half_width(
+    compared: &MetricEstimate,
+    reference: &MetricEstimate,
+    pairs: &[(f64, f64)],
+) -> (f64, f64) {
+    let half_width =
+        paired_half_width(compared, reference, pairs, 1.0).unwrap_or(compared.half_width() + reference.half_width());
+    (compared.mean_estimate.mean - reference.mean_estimate.mean, half_width)
 }
 
-/// Half the interval of the mean of a − `factor` · b over `pairs`; `None` if the cases are too few or there are fewer
-/// than two pairs.
+/// Returns half the width of the 95 % interval of the mean of a − `factor` · b over `pairs` (a, b) of the compared and
+/// the reference policy. `None` if the cases of either are too few, or for fewer than two pairs.
 pub(crate) fn paired_half_width(
-    own: &MetricEstimate,
-    theirs: &MetricEstimate,
+    compared: &MetricEstimate,
+    reference: &MetricEstimate,
     pairs: &[(f64, f64)],
     factor: f64,
 ) -> Option<f64> {
     // With too few cases for an interval, the spread of the differences does not show their frequency.
-    let is_rare = |estimate: &MetricEstimate| estimate.upper_bound.is_some() && estimate.case_counts.is_some();
-    if pairs.len() < 2 || is_rare(own) || is_rare(theirs) {
+    let has_too_few_cases =
+        |estimate: &MetricEstimate| estimate.upper_bound.is_some() && estimate.case_counts.is_some();
+    if pairs.len() < 2 || has_too_few_cases(compared) || has_too_few_cases(reference) {
         return None;
     }
     let mut moments = Moments::default();

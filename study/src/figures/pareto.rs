@@ -1,6 +1,7 @@
 //! Trade-offs of policies against energy, with a line through rising N: information, the objective of P1, and the delay
 //! of detection. [`super::front`] shows the trade-off at one N. The names in [`TRADE_OFFS`] are values of `--only` and
-//! parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
+//! parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format. A third
+//! trade-off also needs a place in `deploy/src/cli/figures.rs` and a CSV column in [`TradeOff::csv`].
 
 use std::fmt::Write as _;
 
@@ -18,7 +19,7 @@ use crate::claims::{Claim, DeviceCounts, claims_on};
 
 /// Metric along x.
 pub const ENERGY_METRIC: &str = "energy_per_device_tti";
-/// Name of the policy that knows events; the energy floor is drawn at its information.
+/// Name of the policy that knows events in the registry; the energy floor is drawn at its information.
 pub const GENIE: &str = "genie";
 /// Information, the objective of P1: the metric along y of the first trade-off.
 pub const P1_METRIC: &str = "info_p1";
@@ -30,7 +31,8 @@ const PALETTE_SIZE: usize = 6;
 pub struct TradeOff {
     /// Name in commands and files.
     pub name: &'static str,
-    /// Start of the title, by which `reveille report` recognises the picture and orders it.
+    /// Start of the title, by which `reveille report` recognises the picture and orders it. It must not begin with the
+    /// title of another figure.
     pub title: &'static str,
     /// Metric along y.
     pub metric: &'static str,
@@ -74,7 +76,7 @@ fn trade_off_lines<'a>(metric: &str, conditions: &[&'a RunCondition]) -> Vec<Tra
     let mut lines: Vec<TradeOffLine<'a>> = Vec::new();
     for condition in conditions {
         for policy in condition.policies() {
-            let points = points(metric, condition, policy);
+            let points = trade_off_points(metric, condition, policy);
             let is_same =
                 |line: &TradeOffLine<'_>| line.policy == policy && has_same_runs(line.condition, condition, policy);
             if points.is_empty() || lines.iter().any(is_same) {
@@ -141,8 +143,8 @@ fn line_name(policy: &str, condition: &RunCondition) -> String {
 }
 
 impl TradeOff {
-    /// Draws the chart for the runs of `conditions`, which share preset and K. `None` if no policy has both metrics at
-    /// any N.
+    /// Draws the chart for the runs of `conditions`, which share preset and K, as the groups of
+    /// `Results::by_preset_and_length` do. `None` if no policy has both metrics at any N.
     pub fn chart(&self, conditions: &[&RunCondition]) -> Option<Chart> {
         let lines = trade_off_lines(self.metric, conditions);
         let first = lines.first()?;
@@ -211,8 +213,8 @@ impl TradeOff {
             [single] => single.label(),
             _ => format!("{}, with the changes in the legend", first.preset),
         };
-        let counts = || conditions.iter().map(|c| c.runs_per_cell());
-        let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
+        let run_counts = || conditions.iter().map(|c| c.runs_per_cell());
+        let (least, most) = (run_counts().map(|c| c.0).min(), run_counts().map(|c| c.1).max());
         let mut text = format!(
             "Preset {settings}; {} of {} TTIs per point, means with 95 % intervals in both directions. Lines join \
              points in order of N, which labels some points. {}",
@@ -241,16 +243,16 @@ impl TradeOff {
         text
     }
 
-    /// Returns marks for values that the paper states at one N for both metrics of a drawn policy.
+    /// Returns the marks of the first trade-off; the paper states no delays.
     fn marks(&self, lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
         if self.metric == P1_METRIC {
-            marks(lines)
+            p1_marks(lines)
         } else {
             Vec::new()
         }
     }
 
-    /// Formats the plotted data as CSV.
+    /// Formats the plotted data of [`Self::chart`] as CSV, without floor and marks.
     pub fn csv(&self, conditions: &[&RunCondition]) -> String {
         let column = if self.metric == P1_METRIC { "info" } else { "delay" };
         let mut out = format!(
@@ -309,14 +311,14 @@ pub(crate) fn scales_from_zero(series: &[Series], marks: &[StatedMark]) -> [Scal
 }
 
 /// Returns the points of `policy` in ascending order of N.
-fn points(metric: &str, condition: &RunCondition, policy: &str) -> Vec<(u32, ChartPoint)> {
+fn trade_off_points(metric: &str, condition: &RunCondition, policy: &str) -> Vec<(u32, ChartPoint)> {
     let device_counts = condition.device_counts(policy).into_iter();
-    let points = device_counts.filter_map(|n| Some((n, point(metric, condition, policy, n)?)));
+    let points = device_counts.filter_map(|n| Some((n, trade_off_point(metric, condition, policy, n)?)));
     points.collect()
 }
 
 /// Returns the point of energy and `metric` for `policy` with `n` devices; `None` unless both metrics are defined.
-pub fn point(metric: &str, condition: &RunCondition, policy: &str, n: u32) -> Option<ChartPoint> {
+pub fn trade_off_point(metric: &str, condition: &RunCondition, policy: &str, n: u32) -> Option<ChartPoint> {
     let [x, y] = [ENERGY_METRIC, metric].map(|metric| condition.estimate(policy, n, metric));
     let (x, y) = (x?, y?);
     Some(ChartPoint {
@@ -350,13 +352,13 @@ fn by_importance(lines: &[Vec<Note>]) -> Vec<Note> {
     indices_by_importance.into_iter().flat_map(notes_at).collect()
 }
 
-/// Returns marks for values that the paper states at one N for both metrics of a drawn policy.
-fn marks(lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
+/// Returns marks, each with its N, for values that the paper states at one N for both metrics of a drawn policy.
+fn p1_marks(lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
     let (energy_claims, information_claims) = (
         claims_on("Fig. 8", ENERGY_METRIC),
         claims_on("Fig. 7", "info_per_event"),
     );
-    let value = |claim: &Claim, claims: &[Claim]| match (stated_value(claim, claims), claim.device_counts) {
+    let value_at_n = |claim: &Claim, claims: &[Claim]| match (stated_value(claim, claims), claim.device_counts) {
         (Some(StatedValue::Value(value)), DeviceCounts::At(n)) => Some((n, value)),
         _ => None,
     };
@@ -365,16 +367,16 @@ fn marks(lines: &[TradeOffLine<'_>]) -> Vec<(u32, StatedMark)> {
         let is_drawn =
             |line: &&TradeOffLine<'_>| line.policy == information.policy && line.condition.is_unchanged_preset();
         let drawn = lines.iter().find(is_drawn);
-        let (Some(drawn), Some((n, y))) = (drawn, value(information, information_claims)) else {
+        let (Some(drawn), Some((n, y))) = (drawn, value_at_n(information, information_claims)) else {
             continue;
         };
-        let of_policy = energy_claims
+        let energy_claims_of_policy = energy_claims
             .iter()
             .filter(|energy| energy.policy == information.policy);
-        let at_same_n = of_policy
-            .filter_map(|energy| value(energy, energy_claims))
+        let energies_at_same_n = energy_claims_of_policy
+            .filter_map(|energy| value_at_n(energy, energy_claims))
             .filter(|(claim_n, _)| *claim_n == n);
-        marks.extend(at_same_n.map(|(_, x)| {
+        marks.extend(energies_at_same_n.map(|(_, x)| {
             let mark = StatedMark {
                 x,
                 x_offset: 0.0,

@@ -1,5 +1,5 @@
-//! Paths of lines and curves, in points, y downwards: the shapes of a [`super::scene::Scene`]. Both writers of scenes
-//! handle each [`PathStep`].
+//! Paths of lines and curves, in points, y downwards: the shapes of a [`super::scene::Scene`]. [`super::svg`] and
+//! [`super::png`] handle each [`PathStep`], and `font` makes paths of glyphs.
 
 use libm::{cos, sin};
 
@@ -26,7 +26,7 @@ pub enum PathStep {
     Close,
 }
 
-/// A path of any number of parts.
+/// A path of any number of parts, each of which begins with [`PathStep::Move`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VectorPath(pub Vec<PathStep>);
 
@@ -63,7 +63,7 @@ impl VectorPath {
         Self::closed_line([(left, top), (right, top), (right, bottom), (left, bottom)])
     }
 
-    /// Creates a circle from four cubic curves.
+    /// Creates a circle of radius `r` from four cubic curves.
     pub fn circle((x, y): (f64, f64), r: f64) -> Self {
         // Standard distance of control points for a quarter of a circle.
         let c = 0.552_284_75 * r;
@@ -77,16 +77,21 @@ impl VectorPath {
         ])
     }
 
-    /// Creates a regular polygon of `n` corners on a circle of radius `r`. The first corner is `turn` radians clockwise
-    /// from the right. With `inner` < 1 it becomes a star whose inner corners are at `inner · r`.
-    pub fn polygon((x, y): (f64, f64), r: f64, n: u32, turn: f64, inner: f64) -> Self {
+    /// Creates a regular polygon of `count` outer corners on a circle of this radius. The first is `first_angle`
+    /// radians clockwise from the right. With `inner_share` < 1 it becomes a star whose inner corners are at
+    /// `inner_share` of the radius.
+    pub fn polygon((x, y): (f64, f64), radius: f64, count: u32, first_angle: f64, inner_share: f64) -> Self {
         let corner = |i: u32| {
-            let angle = turn + std::f64::consts::PI * f64::from(i) / f64::from(n);
-            let reach = if i.is_multiple_of(2) { r } else { inner * r };
-            (x + reach * cos(angle), y + reach * sin(angle))
+            let angle = first_angle + std::f64::consts::PI * f64::from(i) / f64::from(count);
+            let distance = if i.is_multiple_of(2) {
+                radius
+            } else {
+                inner_share * radius
+            };
+            (x + distance * cos(angle), y + distance * sin(angle))
         };
-        let step = if inner < 1.0 { 1 } else { 2 };
-        Self::closed_line((0..2 * n).step_by(step).map(corner))
+        let step = if inner_share < 1.0 { 1 } else { 2 };
+        Self::closed_line((0..2 * count).step_by(step).map(corner))
     }
 
     /// Returns the path shifted by the given offset.
@@ -109,16 +114,18 @@ impl VectorPath {
         self.0.extend(other.0);
     }
 
-    /// Bounding box of all points, control points included: left, top, right, bottom.
+    /// Bounding box of all points, control points included. An empty path has infinite bounds, with left > right. A NaN
+    /// is kept only if no number follows it.
     pub fn bounds(&self) -> Rect {
-        let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+        let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         let mut include = |x: f64, y: f64| {
-            // Unlike `min` and `max`, these comparisons take over NaN. A number that follows replaces it.
-            b = [
-                if x >= b[0] { b[0] } else { x },
-                if y >= b[1] { b[1] } else { y },
-                if x <= b[2] { b[2] } else { x },
-                if y <= b[3] { b[3] } else { y },
+            // Unlike `min` and `max`, these comparisons take over NaN: `Scene::outside` reports it.
+            let [left, top, right, bottom] = bounds;
+            bounds = [
+                if x >= left { left } else { x },
+                if y >= top { top } else { y },
+                if x <= right { right } else { x },
+                if y <= bottom { bottom } else { y },
             ];
         };
         for step in &self.0 {
@@ -136,7 +143,7 @@ impl VectorPath {
                 PathStep::Close => {}
             }
         }
-        b
+        bounds
     }
 }
 

@@ -1,22 +1,25 @@
-//! PNG output of a scene, drawn from the same paths and glyph outlines as [`super::svg`]. docs/figures-and-report.md
-//! states the resolution.
+//! PNG output of a scene, drawn from the same paths and glyph outlines as [`super::svg`]. `tests/mod.rs` and
+//! docs/figures-and-report.md state the resolution. Another version of `tiny_skia` or `png` can change the bytes.
 
 use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
 
 use super::font::{lay_out_glyphs, outline, units_per_em};
 use super::path::{PathStep, VectorPath};
-use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
+use super::scene::{Paint, Rgb, Scene, SceneItem, Shape, Stroke, Text};
 
 /// Pixels per inch.
 pub(crate) const DPI: f64 = 300.0;
 /// Points per inch.
 const POINTS_PER_INCH: f64 = 72.0;
-/// Colour of ink, the `color` of [`super::svg`] and `--ink` of the report's `page.css`.
+/// Colour of ink, repeated as `color` in [`super::svg`] and as `--ink` in the report's `page.css`.
 const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
 /// No clipping.
 const NO_CLIP: Option<&Mask> = None;
 
 /// Renders `scene` as PNG at `DPI`, dark on white.
+///
+/// # Panics
+/// If the canvas is too large for memory.
 pub fn png(scene: &Scene) -> Vec<u8> {
     let scale = DPI / POINTS_PER_INCH;
     let (w, h) = (
@@ -37,7 +40,7 @@ pub fn png(scene: &Scene) -> Vec<u8> {
 }
 
 fn encode(pixmap: &Pixmap) -> Vec<u8> {
-    // The background is opaque, so every pixel is, and alpha can be omitted.
+    // The background is opaque and so is each pixel: alpha can be omitted.
     let rgb: Vec<u8> = pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, pixmap.width(), pixmap.height());
@@ -83,7 +86,7 @@ fn to_skia_path(path: &VectorPath) -> Option<tiny_skia::Path> {
     builder.finish()
 }
 
-fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, to_pixels: Transform) {
+fn draw_shape(pixmap: &mut Pixmap, shape: &Shape, to_pixels: Transform) {
     let Some(path) = to_skia_path(&shape.path) else { return };
     let [left, top, right, bottom] = shape.path.bounds();
     // An interval of no width has nothing to fill.
@@ -112,15 +115,22 @@ fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, to_pixels: Transform) {
 fn draw_text(pixmap: &mut Pixmap, text: &Text, to_pixels: Transform) {
     let (x, y) = text.start();
     let scale = (text.size / units_per_em(text.weight)) as f32;
-    let mut place = to_pixels.pre_translate(x as f32, y as f32);
+    let mut base_line_to_pixels = to_pixels.pre_translate(x as f32, y as f32);
     if text.is_vertical {
-        place = place.pre_concat(Transform::from_row(0.0, -1.0, 1.0, 0.0, 0.0, 0.0));
+        base_line_to_pixels = base_line_to_pixels.pre_concat(Transform::from_row(0.0, -1.0, 1.0, 0.0, 0.0, 0.0));
     }
-    let place = place.pre_scale(scale, -scale);
+    // Outlines of glyphs are in font units, y upwards.
+    let text_to_pixels = base_line_to_pixels.pre_scale(scale, -scale);
     for (glyph, at) in lay_out_glyphs(&text.text, text.weight).0 {
         if let Some(path) = to_skia_path(&outline(glyph)) {
-            let place = place.pre_translate(at as f32, 0.0);
-            pixmap.fill_path(&path, &brush(text.paint, 1.0), FillRule::Winding, place, NO_CLIP);
+            let glyph_to_pixels = text_to_pixels.pre_translate(at as f32, 0.0);
+            pixmap.fill_path(
+                &path,
+                &brush(text.paint, 1.0),
+                FillRule::Winding,
+                glyph_to_pixels,
+                NO_CLIP,
+            );
         }
     }
 }

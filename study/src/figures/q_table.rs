@@ -1,6 +1,7 @@
 //! Heat maps of the tables that `q-learning` has learned for one N: duty cycling and wake-ups. The columns of the CSV
-//! are a file format. The limits of buckets must equal the limits in [`reveille_bs::policy::q_learning::learned`]; a
-//! test compares them.
+//! are a file format; `deploy/src/commands/figures.rs` names the files. The limits of buckets must equal the limits in
+//! [`reveille_bs::policy::q_learning::learned`]; a test below compares them. Labels and captions repeat rules from
+//! there that no test compares: the halvings of scores, the two lowest battery buckets, smoothing, the learning rate.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -72,7 +73,8 @@ fn training_energies(learned: &LearnedTables) -> Option<[f64; 3]> {
     Some([e_max?, e_idle?, e_tx?])
 }
 
-/// Returns a numeric field of the training's scenario.
+/// Returns a numeric field of the training's scenario. `None` for energies if there are several classes, which have
+/// separate names in the file; the figure then has shares and sixths instead of units.
 fn training_field(learned: &LearnedTables, name: &str) -> Option<f64> {
     let entry = learned.site.numbers.iter().find(|(path, _)| path == name);
     entry.map(|(_, value)| *value)
@@ -185,7 +187,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
     }
 }
 
-/// Draws the duty table of `set`: advantages, with V below them.
+/// Draws the duty table of `set`, one of `learned`: advantages, with V below them.
 pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
     let area = match set.lookback {
         Lookback::Window(_) => "the area that it would newly cover",
@@ -206,15 +208,15 @@ pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
         describe_training_of_set(learned, set)
     );
     let (mut scene, y) = titled_scene(title, text.clone());
-    let largest = map.largest_magnitude();
+    let scale_end = map.largest_magnitude();
     let mut y = map.draw(
         &mut scene,
         (MARGIN, y),
         (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW_HEIGHT),
-        largest,
+        scale_end,
     );
     let partly_known = (map.count(KnowledgeDegree::PartlyKnown) > 0).then_some("one action never tried");
-    y = draw_key(&mut scene, (MARGIN, y), largest, "senses", partly_known) + 8.0;
+    y = draw_key(&mut scene, (MARGIN, y), scale_end, "senses", partly_known) + 8.0;
     let value_scene = value_chart(learned, set).scene();
     let height = value_scene.height;
     scene.add_scene(value_scene, (0.0, y));
@@ -254,13 +256,13 @@ fn value_chart(learned: &LearnedTables, set: &TableSet) -> Chart {
         Scale::linear(ys, false),
         Scale::linear([0.0, point(VALUE_NODES - 1, 0.0).x], true),
     );
-    let series = |name: &str, style: Style, joined: bool, samples: Vec<ChartPoint>| Series {
+    let series = |name: &str, style: Style, is_joined: bool, points: Vec<ChartPoint>| Series {
         name: name.to_owned(),
         style,
-        is_joined: joined,
-        has_markers: !joined,
+        is_joined,
+        has_markers: !is_joined,
         interval: Interval::Bars,
-        points: samples,
+        points,
     };
     Chart {
         title: "Value V of a battery".to_owned(),
@@ -333,7 +335,7 @@ pub(super) fn describe_setting(learned: &LearnedTables) -> String {
     format!("Setting: {}.", all.join(", "))
 }
 
-/// Formats the plotted data of the duty table as CSV.
+/// Formats the plotted data of the duty table as CSV. `advantage` is the number in the cell, `used` the smoothed one.
 pub fn duty_csv(learned: &LearnedTables, set: &TableSet) -> String {
     let mut out = String::from(
         "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
@@ -369,13 +371,13 @@ pub fn duty_csv(learned: &LearnedTables, set: &TableSet) -> String {
     out
 }
 
-/// Formats V as CSV.
+/// Formats V as CSV. Batteries are in units, or shares of E_max if the file does not hold it.
 pub fn value_csv(learned: &LearnedTables, set: &TableSet) -> String {
     let mut out = String::from("battery,value,visits,used\n");
     let e_max = training_energies(learned).map_or(1.0, |[e_max, ..]| e_max);
     for (node, (cell, smoothed)) in set.duty.value.iter().zip(set.duty.values()).enumerate() {
-        let level = e_max * node as f64 / (VALUE_NODES - 1) as f64;
-        let _ = writeln!(out, "{level},{},{},{smoothed}", cell.value, cell.visits);
+        let battery = e_max * node as f64 / (VALUE_NODES - 1) as f64;
+        let _ = writeln!(out, "{battery},{},{},{smoothed}", cell.value, cell.visits);
     }
     out
 }
@@ -388,14 +390,15 @@ pub const fn wake_table(set: &TableSet, ranking: WakeUpRanking) -> &WakeTable {
     }
 }
 
-/// Creates the heat map of the wake-up table for bucket `reports` of the number of reports.
-fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
-    let smoothed: [_; INFORMATION_BUCKETS] = std::array::from_fn(|information| table.monotone_q(information, reports));
+/// Creates the heat map of the wake-up table for a bucket of the number of reports: bucket 0 is one report.
+fn wake_map(table: &WakeTable, report_bucket: usize) -> HeatMap {
+    let smoothed: [_; INFORMATION_BUCKETS] =
+        std::array::from_fn(|information| table.monotone_q(information, report_bucket));
     let cell = |score: usize, information: usize| {
-        let cell = table.at([score, information, reports]);
+        let q_value = table.at([score, information, report_bucket]);
         HeatCell {
-            value: cell.value,
-            knowledge: if cell.visits == 0 {
+            value: q_value.value,
+            knowledge: if q_value.visits == 0 {
                 KnowledgeDegree::Unknown
             } else {
                 KnowledgeDegree::Known
@@ -408,7 +411,7 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
             .map(|information| cell(score, information))
             .collect()
     };
-    // Every other limit is a root between two halvings.
+    // As in `score_edge`: every other limit is a root between two halvings and has no label.
     let limit_label = |limit: usize| match SCORE_BUCKETS - limit {
         _ if limit == 0 => "0".to_owned(),
         0 => "1".to_owned(),
@@ -419,7 +422,7 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
         y_label: "score of the best candidate / Ψ".to_owned(),
         columns: vec![(String::new(), INFORMATION_LIMITS.map(format_short).to_vec())],
-        rows: RowLabels::Ends((0..=SCORE_BUCKETS).map(limit_label).collect()),
+        rows: RowLabels::Limits((0..=SCORE_BUCKETS).map(limit_label).collect()),
         cells: (0..SCORE_BUCKETS).map(row).collect(),
     }
 }
@@ -437,8 +440,8 @@ pub fn wake_scene(learned: &LearnedTables, set: &TableSet, ranking: WakeUpRankin
         describe_training_of_set(learned, set)
     );
     let (mut scene, top) = titled_scene(title, text.clone());
-    let maps: Vec<HeatMap> = (0..REPORT_BUCKETS).map(|reports| wake_map(table, reports)).collect();
-    let largest = maps.iter().map(HeatMap::largest_magnitude).fold(0.0, f64::max);
+    let maps: Vec<HeatMap> = (0..REPORT_BUCKETS).map(|bucket| wake_map(table, bucket)).collect();
+    let scale_end = maps.iter().map(HeatMap::largest_magnitude).fold(0.0, f64::max);
     let panel_width = 0.5 * (PAGE_WIDTH - 2.0 * MARGIN - PANEL_GAP);
     let mut y = top;
     for (row, pair) in maps.chunks(2).enumerate() {
@@ -448,15 +451,20 @@ pub fn wake_scene(learned: &LearnedTables, set: &TableSet, ranking: WakeUpRankin
             let panel_name = match 2 * row + column {
                 0 => "after 1 report".to_owned(),
                 last if last + 1 == REPORT_BUCKETS => format!("after {REPORT_BUCKETS} or more reports"),
-                reports => format!("after {} reports", reports + 1),
+                report_bucket => format!("after {} reports", report_bucket + 1),
             };
             let at = (left + 0.5 * panel_width, y + 2.0);
             scene.text(Text::new(panel_name, at, TEXT_SIZE).anchored(super::scene::Anchor::Middle));
-            below = map.draw(&mut scene, (left, y + LEADING), (panel_width, WAKE_ROW_HEIGHT), largest);
+            below = map.draw(
+                &mut scene,
+                (left, y + LEADING),
+                (panel_width, WAKE_ROW_HEIGHT),
+                scale_end,
+            );
         }
         y = below + 6.0;
     }
-    y = draw_key(&mut scene, (MARGIN, y - 2.0), largest, "does not wake", None) + LEADING + 4.0;
+    y = draw_key(&mut scene, (MARGIN, y - 2.0), scale_end, "does not wake", None) + LEADING + 4.0;
     for line in wrap_text(&text, Weight::Regular, TEXT_SIZE, PAGE_WIDTH - 2.0 * MARGIN) {
         scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
@@ -469,15 +477,15 @@ pub fn wake_scene(learned: &LearnedTables, set: &TableSet, ranking: WakeUpRankin
 pub fn wake_csv(set: &TableSet, ranking: WakeUpRanking) -> String {
     let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
     let (table, scores) = (wake_table(set, ranking), score_limits());
-    for reports in 0..REPORT_BUCKETS {
+    for report_bucket in 0..REPORT_BUCKETS {
         for score in 0..SCORE_BUCKETS {
             for information in 0..INFORMATION_BUCKETS {
-                let cell = table.at([score, information, reports]);
-                let used = table.monotone_q(information, reports)[score];
+                let cell = table.at([score, information, report_bucket]);
+                let used = table.monotone_q(information, report_bucket)[score];
                 let _ = writeln!(
                     out,
                     "{},{},{},{},{},{},{},{used},{}",
-                    reports + 1,
+                    report_bucket + 1,
                     scores[score],
                     scores[score + 1],
                     INFORMATION_LIMITS[information],

@@ -3,6 +3,10 @@
 //!
 //! Figures use [`Results::conditions`], in which rankings of wake-ups are series of one condition; the report uses
 //! [`Results::by_ranking`]. A condition has a scenario only if the scenario's hash equals the hash in the table.
+//!
+//! [`RunCondition::label`] and [`LabelledTable`] end up in the report, in docs/reproduction.md, which the report fills,
+//! and in the output of `reveille compare`. The fields of conditions are also columns of sweep figures, and parts of
+//! file names (`file_labels`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -28,14 +32,16 @@ pub struct LabelledTable {
     pub metadata: TableMetadata,
     /// Number of runs.
     pub run_count: usize,
-    /// Series of the first run, by its name in this table alone; `None` for an empty table.
-    pub first_policy: Option<String>,
+    /// Name of the series of the first run in this table alone, by default the reference of `reveille compare`. `None`
+    /// for an empty table.
+    pub first_series: Option<String>,
     /// SHA-256 over the digests of the runs, in table order, hexadecimal.
     pub digest_hash: String,
 }
 
 /// The preset, length and changed fields that runs share; their policies, N and seeds may differ. A `policy` in its
-/// methods is the name of a series, as in [`Self::policies`].
+/// methods is the name of a series, as in [`Self::policies`]. A new setting also needs a line in `has_same_settings`
+/// and in `without_ranking`.
 #[derive(Clone, Debug)]
 pub struct RunCondition {
     /// Preset name.
@@ -101,7 +107,7 @@ impl Results {
                 name: name.clone(),
                 metadata: table.metadata.clone(),
                 run_count: table.rows.len(),
-                first_policy: table.rows.first().map(|row| SeriesNames::from_table(table).name(row)),
+                first_series: table.rows.first().map(|row| SeriesNames::from_table(table).name(row)),
                 digest_hash: hash_of_digests(table),
             });
             results.add_table(name, table, files)?;
@@ -143,7 +149,7 @@ impl Results {
         } else {
             Vec::new()
         };
-        let changed_in = (!has_known_changes && !has_only_swept_fields).then(|| name.to_owned());
+        let changed_in_table = (!has_known_changes && !has_only_swept_fields).then(|| name.to_owned());
         for cell in cells {
             let is_known_policy = registry::named(cell.policy).is_some();
             let is_unchanged = actions.is_none()
@@ -152,9 +158,9 @@ impl Results {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
                 changed_fields: changes.clone(),
-                changed_in_table: changed_in.clone(),
+                changed_in_table: changed_in_table.clone(),
                 actions: actions.clone(),
-                scenario: scenario_with(&cell, &changes).filter(|_| changed_in.is_none() && actions.is_none()),
+                scenario: scenario_with(&cell, &changes).filter(|_| changed_in_table.is_none() && actions.is_none()),
                 swept_fields: swept_of(&cell),
                 is_preset: true,
                 ranking_indices: Vec::new(),
@@ -166,11 +172,11 @@ impl Results {
                 self.by_ranking.len() - 1
             });
             self.by_ranking[index].is_preset &= is_unchanged;
-            let runs = &mut self.by_ranking[index].runs;
-            let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
+            let runs_by_series = &mut self.by_ranking[index].runs;
+            let runs_by_seed = runs_by_series.entry((cell.policy.to_owned(), cell.n)).or_default();
             for row in cell.rows {
                 // Condition, policy, N and seed identify a run, so a second outcome contradicts the first.
-                if let Some(previous) = runs.insert(row.seed, Arc::new(row.clone()))
+                if let Some(previous) = runs_by_seed.insert(row.seed, Arc::new(row.clone()))
                     && previous.digest != row.digest
                 {
                     return Err(FigureError::Contradiction {
@@ -245,10 +251,10 @@ fn fields_set_by(text: &str) -> Vec<(String, String)> {
     let Ok(experiment) = text.parse::<toml::Table>() else {
         return Vec::new();
     };
-    let set = experiment.get("set").and_then(toml::Value::as_table);
+    let set_fields = experiment.get("set").and_then(toml::Value::as_table);
     let to_text = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let set = set.into_iter().flatten();
-    set.map(|(path, value)| (path.clone(), to_text(value))).collect()
+    let set_fields = set_fields.into_iter().flatten();
+    set_fields.map(|(path, value)| (path.clone(), to_text(value))).collect()
 }
 
 /// Returns the scenario of `row`, if the preset with the table's columns, `swept` and `assignments` reproduces its
@@ -346,13 +352,13 @@ impl RunCondition {
         self.runs.keys().map(|(_, n)| *n).collect()
     }
 
-    /// Returns the estimate of `metric` with its interval; `None` if it is undefined in all runs of the cell.
+    /// Returns the estimate of `metric` with its bounds; `None` if it is undefined in all runs of the cell.
     pub fn metric_estimate(&self, policy: &str, n: u32, metric: &str) -> Option<MetricEstimate> {
         let runs: Vec<&ResultRow> = self.runs(policy, n).collect();
         MetricEstimate::from_rows(&runs, metric)
     }
 
-    /// Returns the estimate of `metric` for `policy` with `n` devices; `None` if it is undefined in all runs.
+    /// Returns [`Self::metric_estimate`] as a mean with half a width.
     ///
     /// If the interval is uninformative, half its width is the distance from the mean to the one-sided bound. For
     /// `misdetection_pct` without a missed event the bound is 300 / Σ events %, by the rule of three.
@@ -360,7 +366,7 @@ impl RunCondition {
         let metric_estimate = self.metric_estimate(policy, n, metric)?;
         Some(Estimate {
             half_width: metric_estimate.half_width(),
-            ..metric_estimate.estimate
+            ..metric_estimate.mean_estimate
         })
     }
 
@@ -387,7 +393,7 @@ impl RunCondition {
         self.changed_fields.iter().chain(&self.swept_fields)
     }
 
-    /// Human-readable description of the condition.
+    /// Human-readable description of the condition, without K.
     pub fn label(&self) -> String {
         let mut label = self.preset.clone();
         for (path, value) in self.all_changes() {
@@ -401,7 +407,8 @@ impl RunCondition {
         self.actions.as_ref().map(|actions| actions.text.as_str())
     }
 
-    /// Changes that only a table identifies: unknown fields and actions, each with a reference to the table.
+    /// Changes that only a table identifies: "other fields" and "actions", each with a reference to the table. Sweep
+    /// figures and fronts use both as names of fields.
     pub fn table_changes(&self) -> impl Iterator<Item = (String, String)> {
         let unknown = self.changed_in_table.as_ref().map(|table| ("other fields", table));
         let actions = self.actions.as_ref().map(|actions| ("actions", &actions.table));
@@ -444,7 +451,8 @@ impl RunCondition {
 }
 
 impl Results {
-    /// Conditions grouped by preset and K, with a part of a file name for each group.
+    /// Conditions grouped by preset and K, with a part of a file name for each group. Trade-offs and fronts of several
+    /// conditions need such groups.
     pub fn by_preset_and_length(&self) -> Vec<(String, Vec<&RunCondition>)> {
         let has_several_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();

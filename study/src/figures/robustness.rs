@@ -1,6 +1,7 @@
 //! Robustness to an imperfect radio: information, energy and missed events against the failure rate of one radio
-//! function, while all others work. This module makes the runs; it reads no tables. The names of [`IMPAIRMENTS`] are
-//! fields of `radio`, values of `--only` and parts of file names. The columns of [`csv`] are a file format.
+//! function, while all others work. `reveille figures robustness` draws it. This module makes the runs; it reads no
+//! tables. The names of [`IMPAIRMENTS`] are fields of `radio` in scenarios, values of `--only` and cells of the CSV,
+//! whose columns are a file format. A new field of [`RadioSettings`] is not drawn without an entry there.
 
 use std::fmt::Write as _;
 
@@ -26,13 +27,13 @@ pub const METRICS: [(&str, &str); 3] = [
     ("energy_per_device_tti", "energy"),
     ("misdetection_pct", "missed events"),
 ];
-/// Mean length of an interference burst, TTIs.
+/// Mean length of an interference burst, TTIs: the default of `radio.bursts.burst_ttis`.
 const BURST_TTIS: f64 = 10.0;
 
 /// A kind of radio failure.
 #[derive(Clone, Copy, Debug)]
 pub struct Impairment {
-    /// Name in commands and files, equal to its field in `radio`.
+    /// Name in commands and in the CSV, equal to its field in `radio`.
     pub name: &'static str,
     /// Description for titles.
     pub title: &'static str,
@@ -40,7 +41,7 @@ pub struct Impairment {
     pub x_label: &'static str,
     /// Failure rates or magnitudes; the first is 0, and all others are above it.
     pub levels: &'static [f64],
-    /// Radio settings for a level above 0.
+    /// Radio settings for a level above 0. They are not validated: bursts need 1 TTI of quiet or more.
     radio_settings: fn(f64) -> RadioSettings,
 }
 
@@ -114,7 +115,7 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     },
 ];
 
-/// Results of the runs of one policy at one level.
+/// Results of the runs of one policy at one level. Level 0 of every impairment has the same runs.
 #[derive(Clone, Debug)]
 pub struct RobustnessPoint {
     /// Policy name.
@@ -135,7 +136,10 @@ impl RobustnessPoint {
 }
 
 /// Runs `scenarios`, one for each policy, with all levels of each of `impairments`, on all cores. Each cell has `seeds`
-/// runs, at least 1, with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
+/// runs with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
+///
+/// # Panics
+/// If `seeds` is 0.
 pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<RobustnessPoint> {
     let preparer = RunPreparer::default();
     let mut cells: Vec<(&Scenario, RadioSettings)> = scenarios
@@ -144,13 +148,13 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
         .collect();
     for Impairment {
         levels,
-        radio_settings: radio,
+        radio_settings: settings_at,
         ..
     } in impairments
     {
         // Level 0 comes first and is the perfect radio, which all impairments share.
         for &level in levels.iter().skip(1) {
-            cells.extend(scenarios.iter().map(|scenario| (scenario, radio(level))));
+            cells.extend(scenarios.iter().map(|scenario| (scenario, settings_at(level))));
         }
     }
     let runs = cells.iter().flat_map(|cell| (0..seeds).map(move |i| (cell, i)));
@@ -197,8 +201,8 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
         x_label: impairment.x_label.to_owned(),
         charts: METRICS.map(|metric| chart(points, impairment, metric)).to_vec(),
     };
-    let counts = points.iter().map(|point| point.run_metrics.len());
-    let runs = runs_in_words((counts.clone().min().unwrap_or(0), counts.max().unwrap_or(0)));
+    let run_counts = points.iter().map(|point| point.run_metrics.len());
+    let runs = runs_in_words((run_counts.clone().min().unwrap_or(0), run_counts.max().unwrap_or(0)));
     let mut grid = ChartGrid {
         title: format!("Robustness to an imperfect radio, N = {}", scenario.run.devices),
         columns: METRICS.map(column_heading).to_vec(),
@@ -241,17 +245,18 @@ fn chart(points: &[RobustnessPoint], impairment: &Impairment, (metric, metric_na
     }
     let series: Vec<Series> = policies
         .into_iter()
-        .map(|policy| series(&of_impairment, policy, metric))
+        .map(|policy| policy_series(&of_impairment, policy, metric))
         .collect();
-    let samples = || series.iter().flat_map(|line| &line.points);
-    let interval_ends = |s: &ChartPoint| {
+    let chart_points = || series.iter().flat_map(|line| &line.points);
+    // No metric of `METRICS` can be negative, whatever an interval says.
+    let interval_ends = |point: &ChartPoint| {
         [
-            (s.y - finite_or_zero(s.y_half_width)).max(0.0),
-            s.y + finite_or_zero(s.y_half_width),
+            (point.y - finite_or_zero(point.y_half_width)).max(0.0),
+            point.y + finite_or_zero(point.y_half_width),
         ]
     };
     let largest_level = levels.iter().copied().fold(0.0, f64::max);
-    let (low, high) = samples()
+    let (low, high) = chart_points()
         .flat_map(interval_ends)
         .fold((0.0_f64, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
     Chart {
@@ -273,8 +278,9 @@ fn chart(points: &[RobustnessPoint], impairment: &Impairment, (metric, metric_na
     }
 }
 
-fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
-    let sample = |point: &&RobustnessPoint| {
+/// Returns the line of `policy` among `points` of one impairment.
+fn policy_series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
+    let chart_point = |point: &&RobustnessPoint| {
         let Estimate { mean, half_width, .. } = point.estimate(metric)?;
         Some(ChartPoint {
             x: point.level,
@@ -292,7 +298,7 @@ fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
         points: points
             .iter()
             .filter(|point| point.policy == policy)
-            .filter_map(sample)
+            .filter_map(chart_point)
             .collect(),
     }
 }
@@ -310,10 +316,10 @@ pub fn csv(points: &[RobustnessPoint]) -> String {
                 mean, half_width, runs, ..
             }) = point.estimate(metric)
             {
-                let (name, half) = (point.impairment.name, half_width_cell(half_width));
+                let (name, half_width) = (point.impairment.name, half_width_cell(half_width));
                 let _ = writeln!(
                     out,
-                    "{name},{},{},{metric},{mean},{half},{runs}",
+                    "{name},{},{},{metric},{mean},{half_width},{runs}",
                     point.level, point.policy
                 );
             }
@@ -354,7 +360,8 @@ mod tests {
                 perfect[usize::from(point.policy == "genie")].run_metrics
             );
         }
-        // In the order of `IMPAIRMENTS`: each raises its metric, a percentage, by more than 2.
+        // In the order of `IMPAIRMENTS`: the last level raises its metric, a percentage, by more than 2 points. The
+        // limit only tells an effect from none.
         let raised_metrics = [
             "missed_wake_ups_pct",
             "false_wake_ups_pct",

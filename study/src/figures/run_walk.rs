@@ -1,5 +1,6 @@
-//! Lab runs for figures, with the outcome of each TTI and the states of devices. A walk only observes: it must equal
-//! the run of the same scenario, which a test compares.
+//! Lab runs for the figures of deployments and timelines, with the outcome of each TTI and the states of devices. A
+//! walk only observes: it must equal the run of the same scenario, as a test checks. Operator actions, removals and
+//! decisions of policy processes are not repeated.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
@@ -27,13 +28,13 @@ pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
     collector.0
 }
 
-/// Outcome of one TTI.
+/// Outcome of one TTI. As an observer it begins again with each grant, so a grant must be a single TTI.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct TtiOutcome {
-    /// Reports of devices with δ = 1 that arrived.
-    pub reports: Vec<Report>,
+    /// Reports of devices with δ = 1 that arrived; the reports of woken devices are in `wake_ups`.
+    pub duty_reports: Vec<Report>,
     /// Devices with δ = 1 that detected the event but could not transmit.
-    pub failures: Vec<FailedTransmission>,
+    pub duty_failures: Vec<FailedTransmission>,
     /// Wake-ups in order, with their outcomes.
     pub wake_ups: Vec<(DeviceId, WakeOutcome)>,
 }
@@ -42,8 +43,8 @@ impl Observer for TtiOutcome {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::TtisGranted(_) => *self = Self::default(),
-            Notification::ReportReceived(report) => self.reports.push(**report),
-            Notification::ReportFailed { failure, .. } => self.failures.push(**failure),
+            Notification::ReportReceived(report) => self.duty_reports.push(**report),
+            Notification::ReportFailed { failure, .. } => self.duty_failures.push(**failure),
             Notification::WakeUpCompleted { device, outcome, .. } => self.wake_ups.push((*device, **outcome)),
             Notification::PlanSent { .. }
             | Notification::EventStarted(_)
@@ -82,7 +83,7 @@ impl RunWalk {
         self.run.cycle().groups()
     }
 
-    /// Runs the next TTI. Returns it with its outcome. After the last TTI of the run it has no effect.
+    /// Runs the next TTI. Returns it with its outcome. After the last TTI the outcome is empty.
     pub(crate) fn step(&mut self) -> (Tti, TtiOutcome) {
         let k = self.run.cycle().next_tti();
         let mut outcome = TtiOutcome::default();
@@ -90,7 +91,8 @@ impl RunWalk {
         (k, outcome)
     }
 
-    /// Runs all TTIs up to and including `k`, which must be in the run. Returns the outcome of the last one.
+    /// Runs all TTIs up to and including `k`, or one more if `k` has already run. Returns the outcome of the last one.
+    /// `k` must be in the run, or it may loop for ever.
     pub(crate) fn run_through(&mut self, k: Tti) -> TtiOutcome {
         loop {
             let (tti, outcome) = self.step();
@@ -100,7 +102,7 @@ impl RunWalk {
         }
     }
 
-    /// Returns the state of `device` in TTI `k`, the last TTI run, and its battery level at the end of it.
+    /// Returns the state of `device` in TTI `k`, which must be the last TTI run, and its battery level at its end.
     pub(crate) fn state_and_battery(&self, device: DeviceId, k: Tti) -> (DeviceState, Energy) {
         // On a copy, since advancing a machine changes it, and the run is only observed.
         let mut machine = self.run.machines()[device.index()].clone();
@@ -136,14 +138,17 @@ mod tests {
                 .wake_ups
                 .iter()
                 .filter(|(_, outcome)| matches!(outcome, WakeOutcome::Reported(_)));
-            reports += (tti_outcome.reports.len() + from_wake_ups.count()) as u64;
+            reports += (tti_outcome.duty_reports.len() + from_wake_ups.count()) as u64;
             wake_ups += tti_outcome.wake_ups.len() as u64;
             for j in 0..30 {
                 let (state, level) = walk.state_and_battery(DeviceId(j), k);
                 battery_sum += u128::from(level.micro());
                 low_ttis += u64::from(level < scenario.classes[0].energy.e_tx);
                 assert_eq!(
-                    tti_outcome.reports.iter().any(|report| report.device == DeviceId(j)),
+                    tti_outcome
+                        .duty_reports
+                        .iter()
+                        .any(|report| report.device == DeviceId(j)),
                     state == DeviceState::Transmission && walk.is_on(DeviceId(j), k)
                 );
             }

@@ -1,5 +1,5 @@
 //! Axis scales: positions of values along an axis, and tick selection. Labels have no more decimals than their step.
-//! Axes, colour keys and numbers in heat maps follow these rules.
+//! Axes, colour keys and numbers in heat maps and captions follow these rules.
 
 use libm::{floor, log10};
 
@@ -13,7 +13,8 @@ pub enum Scale {
         /// Value at the end, > `from`.
         to: f64,
     },
-    /// Logarithmic scale between powers of ten; ticks assume whole decades.
+    /// Logarithmic scale between powers of ten. [`Scale::ticks`] assumes whole decades; `tuning`, whose ends are
+    /// arbitrary, makes its ticks itself.
     Log {
         /// Value at the start, > 0.
         from: f64,
@@ -75,7 +76,7 @@ impl Scale {
     }
 
     /// Creates a square-root axis from 0 that holds all of `values`, which are from 0 to 5·10⁶, and ends on 1, 2 or 5
-    /// times a power of ten.
+    /// times a power of ten. With larger values it ends on 1 and does not hold them.
     pub fn square_root(values: impl IntoIterator<Item = f64>) -> Self {
         let high = finite_range(values).map_or(1.0, |(_, high)| high);
         let to = round_values().find(|value| *value >= high * (1.0 - 1e-9));
@@ -112,7 +113,7 @@ impl Scale {
                     .map(|i| step * (first_multiple + f64::from(i)))
                     .map(|value| AxisTick {
                         value,
-                        label: label(value, step),
+                        label: format_with_step(value, step),
                     })
                     .collect()
             }
@@ -136,7 +137,7 @@ impl Scale {
         }
         let tick = |value: f64| AxisTick {
             value,
-            label: label(value, value.clamp(MIN_PLAIN_STEP, 1.0)),
+            label: format_with_step(value, value.clamp(MIN_PLAIN_STEP, 1.0)),
         };
         values.into_iter().map(tick).collect()
     }
@@ -151,8 +152,9 @@ fn round_values() -> impl Iterator<Item = f64> {
 const MAX_PLAIN_STEP: f64 = 1e7;
 const MIN_PLAIN_STEP: f64 = 1e-7;
 
-/// Returns a label for `value` on an axis with ticks `step` apart, with as many decimals as the step.
-pub fn label(value: f64, step: f64) -> String {
+/// Formats `value` with as many decimals as `step`, > 0, the distance of ticks. With a very large or small step it has
+/// an exponent.
+pub fn format_with_step(value: f64, step: f64) -> String {
     if value != 0.0 && !(MIN_PLAIN_STEP..MAX_PLAIN_STEP).contains(&step) {
         // A value is a multiple of the step, whose first digit is 1, 2 or 5.
         return format!("{value:.1e}").replace(".0e", "e").replace('-', "−");
@@ -181,7 +183,7 @@ fn finite_range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// Returns the tick spacing for a range of this length: 1, 2 or 5 times a power of ten.
+/// Returns the tick spacing for a range of this length, > 0: 1, 2 or 5 times a power of ten.
 fn tick_spacing(length: f64) -> f64 {
     let min_spacing = length / MAX_TICKS;
     let unit = power_of_ten(floor(log10(min_spacing)) as i32);
@@ -198,14 +200,14 @@ fn power_of_ten(n: i32) -> f64 {
 fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
     let (first, last) = (log10(from).round() as i32, log10(to).round() as i32);
     let decades = last - first;
-    // With many decades only some have labels.
+    // With eight decades or more only some have labels.
     let label_interval = 1 + decades / 8;
     let mut ticks = Vec::new();
     for n in first..=last {
         let value = power_of_ten(n);
         let is_labelled = (last - n) % label_interval == 0;
         let text = if is_labelled {
-            label(value, value.min(1.0))
+            format_with_step(value, value.min(1.0))
         } else {
             String::new()
         };
@@ -217,7 +219,7 @@ fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
             let value = value * f64::from(factor);
             let is_labelled = decades <= 1 && matches!(factor, 2 | 5);
             let text = if is_labelled {
-                label(value, power_of_ten(n).min(1.0))
+                format_with_step(value, power_of_ten(n).min(1.0))
             } else {
                 String::new()
             };

@@ -1,6 +1,7 @@
 //! Scene graph of a figure: shapes and lines of text on a canvas, in points (1/72 inch), y downwards.
 //!
-//! The SVG and PNG writers both render a scene and add nothing to it.
+//! The SVG and PNG writers both render a scene and add nothing to it. A text may have only letters of the embedded
+//! fonts (`font::has_all_glyphs`); no writer checks this.
 
 use super::font::{Weight, text_width};
 use super::path::{Rect, VectorPath};
@@ -29,7 +30,8 @@ pub struct Stroke {
     pub opacity: f64,
     /// Width, points, > 0.
     pub width: f64,
-    /// Alternating lengths of dashes and gaps, points. The number of lengths is even; empty for a solid line.
+    /// Alternating lengths of dashes and gaps, points. The number of lengths must be even, since PNG ignores an odd
+    /// number; empty for a solid line.
     pub dashes: &'static [f64],
 }
 
@@ -57,9 +59,9 @@ impl Stroke {
     }
 }
 
-/// A path with an optional fill and an optional stroke.
+/// A path with an optional fill and an optional stroke; with neither it is invisible.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FilledPath {
+pub struct Shape {
     /// The path.
     pub path: VectorPath,
     /// Paint and opacity of the fill, `(0, 1]`.
@@ -142,7 +144,7 @@ impl Text {
         }
     }
 
-    /// Bounding box: left, top, right, bottom, points. Ascent and descent are taken from the font.
+    /// Bounding box, points, with the shares of ascent and descent of [`super::style::TEXT_SIZE`].
     pub fn bounds(&self) -> Rect {
         let (x, y) = self.start();
         let length = text_width(&self.text, self.weight, self.size);
@@ -159,19 +161,19 @@ impl Text {
 #[derive(Clone, Debug, PartialEq)]
 pub enum SceneItem {
     /// A shape.
-    Shape(FilledPath),
+    Shape(Shape),
     /// A line of text.
     Text(Text),
 }
 
 impl SceneItem {
-    /// Bounding box, line widths included: left, top, right, bottom, points.
+    /// Bounding box, line widths included, points.
     pub fn bounds(&self) -> Rect {
         match self {
             Self::Shape(shape) => {
                 let [left, top, right, bottom] = shape.path.bounds();
-                let out = shape.stroke.map_or(0.0, |s| 0.5 * s.width);
-                [left - out, top - out, right + out, bottom + out]
+                let half_line = shape.stroke.map_or(0.0, |s| 0.5 * s.width);
+                [left - half_line, top - half_line, right + half_line, bottom + half_line]
             }
             Self::Text(text) => text.bounds(),
         }
@@ -181,9 +183,9 @@ impl SceneItem {
 /// A complete figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// Title for screen readers.
+    /// Title for screen readers. `reveille report` orders its figures by it and lists it; a figure also draws it.
     pub title: String,
-    /// Description for screen readers.
+    /// Description for screen readers, the caption that the figure also draws.
     pub description: String,
     /// Width of the canvas, points.
     pub width: f64,
@@ -207,7 +209,7 @@ impl Scene {
 
     /// Adds a line on top.
     pub fn line(&mut self, path: VectorPath, stroke: Stroke) {
-        self.items.push(SceneItem::Shape(FilledPath {
+        self.items.push(SceneItem::Shape(Shape {
             path,
             fill: None,
             stroke: Some(stroke),
@@ -216,7 +218,7 @@ impl Scene {
 
     /// Adds a filled area on top.
     pub fn area(&mut self, path: VectorPath, paint: Paint, opacity: f64) {
-        self.items.push(SceneItem::Shape(FilledPath {
+        self.items.push(SceneItem::Shape(Shape {
             path,
             fill: Some((paint, opacity)),
             stroke: None,
@@ -224,8 +226,8 @@ impl Scene {
     }
 
     /// Adds a filled area with a border on top.
-    pub(crate) fn outlined(&mut self, path: VectorPath, fill: Paint, stroke: Stroke) {
-        self.items.push(SceneItem::Shape(FilledPath {
+    pub(crate) fn outlined_area(&mut self, path: VectorPath, fill: Paint, stroke: Stroke) {
+        self.items.push(SceneItem::Shape(Shape {
             path,
             fill: Some((fill, 1.0)),
             stroke: Some(stroke),
@@ -241,7 +243,7 @@ impl Scene {
     /// description and size.
     pub fn add_scene(&mut self, other: Self, at: (f64, f64)) {
         let moved = other.items.into_iter().map(|item| match item {
-            SceneItem::Shape(shape) => SceneItem::Shape(FilledPath {
+            SceneItem::Shape(shape) => SceneItem::Shape(Shape {
                 path: shape.path.shifted(at),
                 ..shape
             }),
@@ -253,8 +255,8 @@ impl Scene {
         self.items.extend(moved);
     }
 
-    /// Items that extend beyond the canvas. A valid scene has none.
-    pub fn outside(&self) -> Vec<&SceneItem> {
+    /// Items that extend beyond the canvas. A valid scene has none, which only the tests check.
+    pub fn items_outside(&self) -> Vec<&SceneItem> {
         let is_outside = |item: &&SceneItem| {
             let [left, top, right, bottom] = item.bounds();
             // Negated as a whole, so that bounds of NaN count as outside.
@@ -263,9 +265,9 @@ impl Scene {
         self.items.iter().filter(is_outside).collect()
     }
 
-    /// Pairs of lines of text that overlap.
+    /// Pairs of lines of text that overlap. A valid scene has none.
     #[cfg(test)]
-    pub(crate) fn overlapping(&self) -> Vec<(&str, &str)> {
+    pub(crate) fn overlapping_texts(&self) -> Vec<(&str, &str)> {
         let texts: Vec<&Text> = self
             .items
             .iter()
@@ -277,8 +279,7 @@ impl Scene {
         let mut pairs = Vec::new();
         for (i, a) in texts.iter().enumerate() {
             for b in &texts[..i] {
-                let (p, q) = (a.bounds(), b.bounds());
-                if p[0] < q[2] && q[0] < p[2] && p[1] < q[3] && q[1] < p[3] {
+                if super::path::boxes_overlap(&a.bounds(), &b.bounds()) {
                     pairs.push((b.text.as_str(), a.text.as_str()));
                 }
             }

@@ -1,5 +1,6 @@
 //! Statements of the paper about the drawn policies, as marks (one N) and hatched ranges (several N) of a chart, for
-//! the figures `study` and `pareto`. In every function `claims` are all claims about the drawn metric, since a ratio
+//! the figures `study` and `pareto`. A claim is drawn with the series that has the name of its policy; a series with
+//! another ranking has another name. In every function `claims` are all claims about the drawn metric, since a ratio
 //! refers to another of them. Ranges end at the smallest and the largest N that were run; marks do not depend on the
 //! runs.
 

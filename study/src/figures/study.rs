@@ -1,7 +1,8 @@
 //! The paper's Figs. 7 to 12: a metric against N, with a line for each policy. Figs. 13 and 14 are in
 //! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables. Names are values of
 //! `--only` and parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
-//! Claims are found by `paper_figure` and `claims_metric`: without a match, no value of the paper is drawn.
+//! Claims are found by `paper_figure` and `claims_metric`: without a match, no value of the paper is drawn. The
+//! captions repeat rules of `reveille_lab::metric_estimate`.
 
 use std::fmt::Write as _;
 
@@ -25,13 +26,13 @@ pub struct PaperFigure {
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
-    /// Title, by which `reveille report` recognises the picture and orders it.
+    /// Title, by which `reveille report` recognises the picture and orders it. It must not begin with another title.
     pub title: &'static str,
     /// Corresponding figure of the paper.
     pub paper_figure: &'static str,
     /// Metric of the claims that are drawn as the paper's values; with `paper_figure`, the key of [`claims_on`].
     pub claims_metric: &'static str,
-    /// Whether y is logarithmic.
+    /// Whether y is logarithmic. The caption then assumes a share of events in which 0 means no case.
     pub is_log: bool,
 }
 
@@ -196,7 +197,7 @@ impl PaperFigure {
             let estimate = self.metric_estimate(condition, policy, n)?;
             Some(ChartPoint {
                 x: f64::from(n),
-                y: estimate.estimate.mean,
+                y: estimate.mean_estimate.mean,
                 y_half_width: estimate.half_width(),
                 x_half_width: f64::NAN,
             })
@@ -263,7 +264,8 @@ impl PaperFigure {
         text
     }
 
-    /// Formats the plotted data as CSV: measured means and the paper's statements.
+    /// Formats the plotted data of `drawing`, which shows `condition`, as CSV: measured means and the paper's
+    /// statements at one N, also about policies without runs.
     pub fn csv(&self, condition: &RunCondition, drawing: &Drawing) -> String {
         let mut out = String::from("kind,setting,policy,n,metric,mean,half_width_95,runs,paper_low,paper_high\n");
         let label = csv_cell(&condition.label());
@@ -276,7 +278,7 @@ impl PaperFigure {
             for n in condition.device_counts(&series.name) {
                 if let Some(metric_estimate) = self.metric_estimate(condition, &series.name, n) {
                     let half_width = half_width_cell(metric_estimate.half_width());
-                    let (policy, estimate) = (&series.name, metric_estimate.estimate);
+                    let (policy, estimate) = (&series.name, metric_estimate.mean_estimate);
                     let _ = writeln!(
                         out,
                         "measured,{label},{policy},{n},{metric},{},{half_width},{},,",
@@ -313,7 +315,7 @@ pub(super) fn figure_title(subject: &str, paper_figure: &str, condition: &RunCon
     format!("{subject}{}", changed.collect::<String>())
 }
 
-/// Formats the number of runs per point as text.
+/// Formats the smallest and the largest number of runs per point as text.
 pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
     match per_cell {
         (1, 1) => "one run".to_owned(),
@@ -322,7 +324,7 @@ pub(super) fn runs_in_words(per_cell: (usize, usize)) -> String {
     }
 }
 
-/// Escapes text for a CSV cell.
+/// Escapes text without line breaks for a CSV cell.
 pub(super) fn csv_cell(text: &str) -> String {
     if text.contains([',', '"']) {
         format!("\"{}\"", text.replace('"', "\"\""))

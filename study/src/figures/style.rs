@@ -60,21 +60,21 @@ pub enum MarkerShape {
 }
 
 impl MarkerShape {
-    /// Returns the outline of the marker around `centre`. Markers of the same `size` look equally large.
-    pub fn path(self, (x, y): (f64, f64), size: f64) -> VectorPath {
+    /// Returns the outline of the marker around a centre. All shapes look as large as a circle of radius `r`.
+    pub fn path(self, (x, y): (f64, f64), r: f64) -> VectorPath {
         let up = -FRAC_PI_2;
         match self {
-            Self::Circle => VectorPath::circle((x, y), size),
-            Self::Square => VectorPath::rectangle([x - 0.88 * size, y - 0.88 * size, x + 0.88 * size, y + 0.88 * size]),
-            Self::TriangleUp => VectorPath::polygon((x, y + 0.15 * size), 1.25 * size, 3, up, 1.0),
-            Self::TriangleDown => VectorPath::polygon((x, y - 0.15 * size), 1.25 * size, 3, -up, 1.0),
-            Self::Diamond => VectorPath::polygon((x, y), 1.2 * size, 4, up, 1.0),
-            Self::Star => VectorPath::polygon((x, y), 1.4 * size, 5, up, 0.45),
-            Self::Pentagon => VectorPath::polygon((x, y), 1.15 * size, 5, -up, 1.0),
-            Self::Hexagon => VectorPath::polygon((x, y), 1.1 * size, 6, up, 1.0),
-            Self::FourPoints => VectorPath::polygon((x, y), 1.5 * size, 4, up, 0.35),
-            Self::SixPoints => VectorPath::polygon((x, y), 1.35 * size, 6, up, 0.55),
-            Self::TriangleRight => VectorPath::polygon((x - 0.15 * size, y), 1.25 * size, 3, 0.0, 1.0),
+            Self::Circle => VectorPath::circle((x, y), r),
+            Self::Square => VectorPath::rectangle([x - 0.88 * r, y - 0.88 * r, x + 0.88 * r, y + 0.88 * r]),
+            Self::TriangleUp => VectorPath::polygon((x, y + 0.15 * r), 1.25 * r, 3, up, 1.0),
+            Self::TriangleDown => VectorPath::polygon((x, y - 0.15 * r), 1.25 * r, 3, -up, 1.0),
+            Self::Diamond => VectorPath::polygon((x, y), 1.2 * r, 4, up, 1.0),
+            Self::Star => VectorPath::polygon((x, y), 1.4 * r, 5, up, 0.45),
+            Self::Pentagon => VectorPath::polygon((x, y), 1.15 * r, 5, -up, 1.0),
+            Self::Hexagon => VectorPath::polygon((x, y), 1.1 * r, 6, up, 1.0),
+            Self::FourPoints => VectorPath::polygon((x, y), 1.5 * r, 4, up, 0.35),
+            Self::SixPoints => VectorPath::polygon((x, y), 1.35 * r, 6, up, 0.55),
+            Self::TriangleRight => VectorPath::polygon((x - 0.15 * r, y), 1.25 * r, 3, 0.0, 1.0),
         }
     }
 }
@@ -90,7 +90,7 @@ pub struct Style {
     pub dashes: &'static [f64],
 }
 
-/// Half the size of markers, points.
+/// Radius of markers, as in [`MarkerShape::path`], points.
 pub(crate) const MARKER_RADIUS: f64 = 2.4;
 /// The width of lines, points.
 pub(crate) const LINE_WIDTH: f64 = 1.1;
@@ -125,8 +125,8 @@ const POLICY_STYLES: [(&str, Style); 8] = [
     ),
 ];
 
-/// Styles of registered policies without an entry above, in the order of the registry. Unregistered policies share the
-/// last one.
+/// Styles of registered policies without an entry above, in the order of the registry: a policy registered before them
+/// changes their styles. Unregistered policies share the last one.
 const FREE_STYLES: [Style; 3] = [
     Style::new(Paint::Colour(WINE), MarkerShape::FourPoints, &[12.0, 2.0]),
     Style::new(Paint::Colour(INDIGO), MarkerShape::SixPoints, &[3.5, 1.6, 1.0, 1.6]),
@@ -171,7 +171,8 @@ impl Style {
         FREE_STYLES[before.count().min(FREE_STYLES.len() - 1)]
     }
 
-    /// Returns the `i`-th style of a cyclic palette of six, for series that are not policies. `pareto` counts on six.
+    /// Returns the `i`-th style of a cyclic palette of six, for series that are not policies. `pareto`, `learning` and
+    /// `sweep` count on six; `energy` and `q_table` use some by index.
     pub fn from_palette(i: usize) -> Self {
         let all = [
             Self::new(Paint::Colour(BLUE), MarkerShape::Circle, &[]),
@@ -203,12 +204,12 @@ impl Style {
     }
 }
 
-/// Width of a single-column figure, points: 3.5 inch.
+/// Width of a single-column figure, points: 3.5 inch, as docs/figures-and-report.md states.
 pub(crate) const COLUMN_WIDTH: f64 = 252.0;
 /// Width of a figure across both columns, points.
 pub(crate) const PAGE_WIDTH: f64 = 516.0;
-/// The smallest font size, points. In the figures, 0.76 of a font size is the height of a letter above the base line,
-/// 0.24 the depth below it, and 0.36 half the height of a digit.
+/// The smallest font size, points, stated in docs/figures-and-report.md and in tests. In the figures, 0.76 of a font
+/// size is the height of a letter above the base line, 0.24 the depth below it, and 0.36 half the height of a digit.
 pub const TEXT_SIZE: f64 = 8.0;
 /// The font size of titles, points.
 pub(crate) const TITLE_SIZE: f64 = 9.5;

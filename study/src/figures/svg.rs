@@ -2,16 +2,17 @@
 //!
 //! Text is written as outlines. Ink is `currentColor` and the background has the class `paper`, so that a page with the
 //! figure can swap both in dark mode, as `page.css` of the report does. A standalone figure is dark on white.
+//! `docs/figures/make.sh` inserts a background before the line `<defs>`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::font::{Glyph, Weight, lay_out_glyphs, outline, units_per_em};
 use super::path::{PathStep, VectorPath};
-use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Text};
+use super::scene::{Paint, Rgb, Scene, SceneItem, Shape, Text};
 
-/// Renders `scene` as SVG. `name` makes its identifiers unique among figures on the same page; it may contain letters,
-/// digits and `-`.
+/// Renders `scene` as SVG. `name` makes its identifiers unique among figures on the same page. It is not escaped, so it
+/// must not contain spaces or characters reserved in XML.
 pub fn svg(scene: &Scene, name: &str) -> String {
     let mut glyphs: BTreeMap<Glyph, String> = BTreeMap::new();
     let mut body = String::new();
@@ -55,6 +56,7 @@ fn number(x: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
+/// Returns the attribute value of `paint`. The colour of ink alone is `color` above and `INK` in [`super::png`].
 fn colour(paint: Paint) -> String {
     match paint {
         Paint::Ink => "currentColor".to_owned(),
@@ -87,7 +89,7 @@ fn path_data(path: &VectorPath) -> String {
     out
 }
 
-fn shape_element(shape: &FilledPath) -> String {
+fn shape_element(shape: &Shape) -> String {
     let mut out = format!("<path d=\"{}\"", path_data(&shape.path));
     match shape.fill {
         Some((paint, opacity)) => {

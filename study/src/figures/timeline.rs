@@ -1,5 +1,6 @@
 //! Timeline figure: battery and states of selected devices per TTI, with the events and wake-ups of a repeated run.
-//! [`file_name`] names the files of `reveille figures timeline` and the picture in Python.
+//! [`file_name`] names the files of `reveille figures timeline` and the picture in Python. The limits and the default
+//! number of devices are also in `deploy/src/cli/figures.rs` and `python/reveille/figures.py`.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::digits::format_significant;
@@ -35,9 +36,9 @@ pub(crate) const MAX_DEVICES: u32 = 8;
 pub struct DeviceTti {
     /// The TTI.
     pub tti: Tti,
-    /// State at the end of the TTI.
+    /// State in the TTI after its events, reports and wake-ups.
     pub state: DeviceState,
-    /// Whether the device was in S2 and could not transmit.
+    /// Whether the device, on duty or woken, was in S2 and could not transmit.
     pub could_not_transmit: bool,
     /// Whether the BS sent the device a wake-up signal.
     pub has_wake_up: bool,
@@ -52,9 +53,9 @@ pub struct Timeline {
     pub from: Tti,
     /// TTI after the last one.
     pub end: Tti,
-    /// Devices with their energy model and their history.
+    /// Shown devices with their energy model and their history.
     pub devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)>,
-    /// Events that overlap these TTIs.
+    /// Events that overlap these TTIs, warm-up events included.
     pub events: Vec<EventRecord>,
 }
 
@@ -83,7 +84,7 @@ impl Timeline {
         if devices.len() > MAX_DEVICES as usize {
             return Err(FigureError::TooManyDevices {
                 count: devices.len() as u32,
-                what: "a timeline",
+                figure: "a timeline",
                 limit: MAX_DEVICES,
                 advice: "draw several",
             });
@@ -118,11 +119,12 @@ fn for_each_tti(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(
     }
 }
 
+/// Returns the devices with most reports and wake-ups, as [`Timeline::from_scenario`] states, in the order of ids.
 fn busiest_devices(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
     let mut activity_counts = vec![0_u32; scenario.run.devices as usize];
     for_each_tti(scenario, from, end, |_, _, outcome| {
-        let reporters = outcome.reports.iter().map(|r| r.device);
-        let unable_to_transmit = outcome.failures.iter().map(|f| f.device);
+        let reporters = outcome.duty_reports.iter().map(|r| r.device);
+        let unable_to_transmit = outcome.duty_failures.iter().map(|f| f.device);
         let woken = outcome.wake_ups.iter().map(|(device, _)| *device);
         for device in reporters.chain(unable_to_transmit).chain(woken) {
             activity_counts[device.index()] += 1;
@@ -143,8 +145,8 @@ fn device_histories(
     end: Tti,
 ) -> Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> {
     let deployment = reveille_common::deployment::Deployment::new(scenario);
-    let start = |id: &DeviceId| (*id, deployment.devices[id.index()].energy, Vec::new());
-    let mut devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> = shown.iter().map(start).collect();
+    let empty_history = |id: &DeviceId| (*id, deployment.devices[id.index()].energy, Vec::new());
+    let mut devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> = shown.iter().map(empty_history).collect();
     for_each_tti(scenario, from, end, |walk, k, outcome| {
         for (id, _, history) in &mut devices {
             let (state, battery) = walk.state_and_battery(*id, k);
@@ -153,7 +155,7 @@ fn device_histories(
             history.push(DeviceTti {
                 tti: k,
                 state,
-                could_not_transmit: failed_after_wake_up || outcome.failures.iter().any(|f| f.device == *id),
+                could_not_transmit: failed_after_wake_up || outcome.duty_failures.iter().any(|f| f.device == *id),
                 has_wake_up: wake_up.is_some(),
                 battery,
             });
@@ -171,7 +173,7 @@ pub fn file_name(scenario: &Scenario, timeline: &Timeline) -> String {
     )
 }
 
-/// Draws `timeline`.
+/// Draws `timeline`, which was collected from `scenario`.
 pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     scene.title = format!(
@@ -256,7 +258,7 @@ fn draw_legend(scene: &mut Scene, y: f64) {
     });
     entry(scene, "no power", &|scene, x| {
         let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
-        scene.outlined(
+        scene.outlined_area(
             VectorPath::rectangle(span),
             Paint::Paper,
             Stroke::solid(Paint::Ink, 0.5),
@@ -356,7 +358,7 @@ impl TtiAxis {
                 }
                 DeviceState::Sleep { powered: true } => scene.area(lane(3.0), Paint::Ink, 0.45),
                 DeviceState::Sleep { powered: false } | DeviceState::Failed => {
-                    scene.outlined(lane(3.0), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
+                    scene.outlined_area(lane(3.0), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
                 }
             }
         }

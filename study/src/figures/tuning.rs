@@ -1,15 +1,15 @@
-//! Figure of a tuning: the surrogate of the objective over (μ1, μ2), and the evaluated pairs.
+//! Figure of a tuning: the surrogate of the objective over (μ1, μ2), and the evaluated pairs. `reveille tune` draws it.
 //!
 //! Colours run from dark to light, so that they can be read in print without colours. The figure reads the header of
-//! the history by the names that `TuningPlan::header` writes.
+//! the history by the names that `TuningPlan::header` writes, and expects `NAME: DESCRIPTION` as objective.
 
 use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 
 use super::contour::contour_segments;
 use super::font::{Weight, text_width, wrap_text};
-use super::heat::{blend, contrast_colour};
+use super::heat::{colour_at, contrast_colour};
 use super::path::{Rect, VectorPath, boxes_overlap};
-use super::scale::{AxisTick, Scale, label};
+use super::scale::{AxisTick, Scale, format_with_step};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
 use super::style::{LEADING, MARGIN, MarkerShape, PAGE_WIDTH, TEXT_SIZE, TITLE_SIZE};
 
@@ -30,7 +30,7 @@ const NUMBER_DIRECTIONS: u32 = 16;
 /// Least distance of a contour's label from other items, points.
 const MIN_LABEL_GAP: f64 = 3.0;
 
-/// Draws `history`, whose surrogate over `ranges` is `surface`.
+/// Draws `history`, whose surrogate over its `ranges` is `surface`. A pair outside `ranges` is drawn on the border.
 pub fn scene(history: &History, ranges: &Ranges, surface: &Surface) -> Scene {
     let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     let (objective, devices) = (history.header_value("objective"), history.header_value("devices"));
@@ -41,10 +41,10 @@ pub fn scene(history: &History, ranges: &Ranges, surface: &Surface) -> Scene {
     let panel = SurfacePanel::new(ranges, surface);
     panel.draw_cells(&mut scene, surface);
     // Numbers are placed first, so that the labels of contours avoid them, and drawn last.
-    let mut front = Scene::new(PAGE_WIDTH, 0.0);
-    let taken = panel.draw_pairs(&mut front, history);
-    panel.draw_contours(&mut scene, surface, taken);
-    scene.add_scene(front, (0.0, 0.0));
+    let mut pairs_scene = Scene::new(PAGE_WIDTH, 0.0);
+    let taken_boxes = panel.draw_pairs(&mut pairs_scene, history);
+    panel.draw_contours(&mut scene, surface, taken_boxes);
+    scene.add_scene(pairs_scene, (0.0, 0.0));
     panel.draw_axes(&mut scene);
     panel.draw_key(&mut scene, history);
     let mut y = PANEL_BOX[3] + 3.0 * LEADING + 8.0;
@@ -69,13 +69,14 @@ fn caption(history: &History) -> String {
         format!(
             " The best is number {}: μ1 = {mu1}, μ2 = {mu2}, objective {}.",
             number + 1,
-            label(point.evaluation.objective, 0.0001)
+            format_with_step(point.evaluation.objective, 0.0001)
         )
     });
     format!(
         "The tuning maximises the objective, {}. Colours and lines are the mean of a Gaussian process through the \
-         evaluated pairs, numbered in order from 1 (the history counts from 0); it is reliable only near them.{} For each pair, tables were \
-         trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
+         evaluated pairs, numbered in order from 1 (the history counts from 0); it is reliable only near them.{} For \
+         each pair, tables were trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed \
+         {}.",
         header("objective").split_once(": ").map_or("", |(_, words)| words),
         best.unwrap_or_default(),
         header("training"),
@@ -90,9 +91,11 @@ fn enlarge([left, top, right, bottom]: Rect, by: f64) -> Rect {
     [left - by, top - by, right + by, bottom + by]
 }
 
-/// Scales of the panel, and the range of values.
+/// Scales of the panel, and the range of the surrogate's values.
 struct SurfacePanel {
+    /// Scale of μ1.
     x: Scale,
+    /// Scale of μ2.
     y: Scale,
     value_range: (f64, f64),
 }
@@ -124,11 +127,11 @@ impl SurfacePanel {
     fn colour(&self, value: f64) -> Rgb {
         let (low, high) = self.value_range;
         let share = if high > low { (value - low) / (high - low) } else { 0.5 };
-        blend(2.0 * share.clamp(0.0, 1.0) - 1.0)
+        colour_at(2.0 * share.clamp(0.0, 1.0) - 1.0)
     }
 
     /// Returns the levels of the contour lines and of the key, and the step between them.
-    fn levels(&self) -> (Vec<AxisTick>, f64) {
+    fn contour_levels(&self) -> (Vec<AxisTick>, f64) {
         let (low, high) = self.value_range;
         let ticks = Scale::Linear {
             from: low,
@@ -160,7 +163,7 @@ impl SurfacePanel {
         }
     }
 
-    /// Draws the pairs with their numbers. Returns the boxes around both.
+    /// Draws the pairs with their numbers, from 1 in order of evaluation. Returns the boxes around both.
     fn draw_pairs(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
         let best = history.ranked().first().copied();
         let positions: Vec<(f64, f64)> = history
@@ -176,12 +179,12 @@ impl SurfacePanel {
             };
             [x - size, y - size, x + size, y + size]
         });
-        let mut taken: Vec<Rect> = marks.collect();
+        let mut taken_boxes: Vec<Rect> = marks.collect();
         let mut numbers = Vec::new();
         for (number, position) in positions.iter().enumerate() {
             let text = (number + 1).to_string();
-            let (at, corners) = free_position(*position, &text, &taken);
-            taken.push(corners);
+            let (at, corners) = free_position(*position, &text, &taken_boxes);
+            taken_boxes.push(corners);
             let (dx, dy) = (at.0 - position.0, at.1 - position.1);
             if (dx * dx + dy * dy).sqrt() > NUMBER_DISTANCES[1] + 1.0 {
                 // A line in both paints is visible on dark and on light.
@@ -205,12 +208,12 @@ impl SurfacePanel {
             text.paint = Paint::Colour(Rgb(0, 0, 0));
             scene.text(if best == Some(number) { text.bold() } else { text });
         }
-        taken
+        taken_boxes
     }
 
-    /// Draws the contour lines, each with its value where it is farthest from the `taken` boxes, if there is room.
-    fn draw_contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Rect>) {
-        let (levels, step) = self.levels();
+    /// Draws the contour lines, each with its value where it is farthest from `taken_boxes`, if there is room.
+    fn draw_contours(&self, scene: &mut Scene, surface: &Surface, mut taken_boxes: Vec<Rect>) {
+        let (levels, step) = self.contour_levels();
         let mut labels = Vec::new();
         for level in levels {
             let segments = contour_segments(&surface.rows, level.value);
@@ -224,28 +227,31 @@ impl SurfacePanel {
             if path.0.is_empty() {
                 continue;
             }
-            let ground = self.colour(level.value);
-            scene.line(path, Stroke::solid(contrast_colour(ground), 0.8));
-            let text = label(level.value, step);
-            let half = 0.5 * text_width(&text, Weight::Regular, TEXT_SIZE) + 1.5;
+            let background = self.colour(level.value);
+            scene.line(path, Stroke::solid(contrast_colour(background), 0.8));
+            let text = format_with_step(level.value, step);
+            let half_width = 0.5 * text_width(&text, Weight::Regular, TEXT_SIZE) + 1.5;
             let boxes = segments.iter().map(|(a, b)| {
                 let (x, y) = Self::unit_square_to_canvas((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
-                ((x, y), [x - half, y - 0.6 * TEXT_SIZE, x + half, y + 0.6 * TEXT_SIZE])
+                (
+                    (x, y),
+                    [x - half_width, y - 0.6 * TEXT_SIZE, x + half_width, y + 0.6 * TEXT_SIZE],
+                )
             });
-            let room = boxes.filter(|(_, corners)| is_in_panel(corners)).map(|(at, corners)| {
-                let gaps = taken.iter().map(|other| distance_between(&corners, other));
+            let candidates = boxes.filter(|(_, corners)| is_in_panel(corners)).map(|(at, corners)| {
+                let gaps = taken_boxes.iter().map(|other| distance_between(&corners, other));
                 (gaps.fold(f64::INFINITY, f64::min), at, corners)
             });
-            let widest = room.max_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((_, at, corners)) = widest.filter(|(gap, ..)| *gap >= MIN_LABEL_GAP) {
-                taken.push(corners);
-                labels.push((text, at, corners, ground));
+            let most_distant = candidates.max_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((_, at, corners)) = most_distant.filter(|(gap, ..)| *gap >= MIN_LABEL_GAP) {
+                taken_boxes.push(corners);
+                labels.push((text, at, corners, background));
             }
         }
-        for (text, at, corners, ground) in labels {
-            scene.area(VectorPath::rectangle(corners), Paint::Colour(ground), 1.0);
+        for (text, at, corners, background) in labels {
+            scene.area(VectorPath::rectangle(corners), Paint::Colour(background), 1.0);
             let mut text = Text::new(text, (at.0, at.1 + 0.36 * TEXT_SIZE), TEXT_SIZE).anchored(Anchor::Middle);
-            text.paint = contrast_colour(ground);
+            text.paint = contrast_colour(background);
             scene.text(text);
         }
     }
@@ -253,7 +259,7 @@ impl SurfacePanel {
     fn draw_axes(&self, scene: &mut Scene) {
         let [left, top, right, bottom] = PANEL_BOX;
         let axis = Stroke::solid(Paint::Ink, 0.7);
-        for tick in ticks(self.x) {
+        for tick in log_ticks_within(self.x) {
             let (x, length) = (
                 Self::unit_square_to_canvas((self.x.position(tick.value), 0.0)).0,
                 tick_length(&tick),
@@ -262,7 +268,7 @@ impl SurfacePanel {
             let text = Text::new(tick.label, (x, bottom + LEADING + 1.5), TEXT_SIZE);
             scene.text(text.anchored(Anchor::Middle));
         }
-        for tick in ticks(self.y) {
+        for tick in log_ticks_within(self.y) {
             let (y, length) = (
                 Self::unit_square_to_canvas((0.0, self.y.position(tick.value))).1,
                 tick_length(&tick),
@@ -298,12 +304,12 @@ impl SurfacePanel {
         }
         let line = Stroke::solid(Paint::Ink, 0.5);
         scene.line(VectorPath::rectangle([left, top, right, bottom]), line);
-        let (levels, step) = self.levels();
+        let (levels, step) = self.contour_levels();
         for level in levels.iter().filter(|_| high > low) {
             let y = place((level.value - low) / (high - low));
             scene.line(VectorPath::segment((right, y), (right + 2.5, y)), line);
             scene.text(Text::new(
-                label(level.value, step),
+                format_with_step(level.value, step),
                 (right + 5.0, y + 0.36 * TEXT_SIZE),
                 TEXT_SIZE,
             ));
@@ -325,13 +331,13 @@ impl SurfacePanel {
 fn draw_pair_mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     let (paper, ink) = (Paint::Colour(Rgb(255, 255, 255)), Paint::Colour(Rgb(0, 0, 0)));
     if is_best {
-        scene.outlined(
+        scene.outlined_area(
             MarkerShape::Star.path(at, BEST_PAIR_RADIUS),
             paper,
             Stroke::solid(ink, 0.9),
         );
     } else {
-        scene.outlined(
+        scene.outlined_area(
             MarkerShape::Circle.path(at, PAIR_RADIUS),
             ink,
             Stroke::solid(paper, 0.8),
@@ -339,8 +345,8 @@ fn draw_pair_mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     }
 }
 
-/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes` if there is one. Returns
-/// it with the text's box.
+/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes` if possible. Returns it
+/// with the text's box.
 fn free_position(pair_position: (f64, f64), text: &str, taken_boxes: &[Rect]) -> ((f64, f64), Rect) {
     let half_width = 0.5 * text_width(text, Weight::Regular, TEXT_SIZE) + 1.2;
     let candidates = NUMBER_DISTANCES.iter().flat_map(|distance| {
@@ -388,9 +394,9 @@ const fn tick_length(tick: &AxisTick) -> f64 {
     if tick.label.is_empty() { 1.8 } else { 3.0 }
 }
 
-/// Returns the ticks of a logarithmic axis with arbitrary ends. Multiples of powers of ten by 1, 2 and 5 have labels.
-/// If there are few of these, all ticks have labels.
-fn ticks(scale: Scale) -> Vec<AxisTick> {
+/// Returns the ticks of a logarithmic axis with arbitrary ends, for which [`Scale::ticks`] is not meant. Multiples of
+/// powers of ten by 1, 2 and 5 have labels. If there are few of these, all ticks have labels.
+fn log_ticks_within(scale: Scale) -> Vec<AxisTick> {
     let (from, to) = scale.ends();
     let powers = libm::floor(libm::log10(from)) as i32..=libm::floor(libm::log10(to)) as i32;
     let all = powers.flat_map(|n| (1..10).map(move |factor| (factor, libm::exp10(f64::from(n)))));
@@ -404,7 +410,7 @@ fn ticks(scale: Scale) -> Vec<AxisTick> {
     let ticks = inside.iter().map(|&(factor, power)| {
         let value = f64::from(factor) * power;
         let text = if are_few || is_round(factor) {
-            label(value, power.min(1.0))
+            format_with_step(value, power.min(1.0))
         } else {
             String::new()
         };
@@ -420,7 +426,7 @@ mod tests {
     #[test]
     fn ticks_are_round_between_any_ends() {
         let labels = |from: f64, to: f64| -> Vec<String> {
-            let ticks = super::ticks(Scale::Log { from, to });
+            let ticks = super::log_ticks_within(Scale::Log { from, to });
             ticks
                 .into_iter()
                 .map(|tick| tick.label)

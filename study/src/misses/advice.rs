@@ -1,5 +1,8 @@
-//! The change of the scenario that the main cause of missed events suggests. A test compares the named fields with the
-//! declaration of the scenario.
+//! The change of the scenario that the main cause of missed events suggests. [`Misses::advice`](super::Misses::advice)
+//! calls it. docs/reading-results.md and `tests/program/misses.rs` contain some of the texts.
+//!
+//! A test compares the named fields with the declaration of the scenario. No test checks the names of policies, listed
+//! in `bs/src/policy/registry.rs`: a policy without an arm gets the advice of the last arm.
 
 use std::fmt;
 
@@ -13,7 +16,7 @@ use reveille_common::totals::MissCause;
 
 use crate::analysis::harvest::{LambdaReading, lambdas_with_positive_net};
 
-/// Metrics of a finished run about energy.
+/// Metrics of a finished run about energy. `deploy/src/run_reader.rs` reads them from `summary.json` by these names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunEnergy {
     /// The metric `low_energy_pct`, % of device-TTIs.
@@ -22,7 +25,8 @@ pub struct RunEnergy {
     pub overflow_per_device_tti: f64,
 }
 
-/// Share of device-TTIs with B < E_Tx from which devices lack energy, %.
+/// Share of device-TTIs with B < E_Tx from which devices lack energy, %. The report explains its verdicts with another
+/// limit, `LOW_ENERGY_CAUSE_PCT`.
 const LOW_ENERGY_PCT: f64 = 5.0;
 
 /// Advice about the main cause of missed events.
@@ -81,11 +85,12 @@ struct WeakestClass<'s> {
     balance: ClassBalance,
     /// Whether other classes have devices too.
     is_one_of_several: bool,
-    /// Duration τ of a TTI.
+    /// Duration τ of a TTI, in units of model time.
     tau: f64,
 }
 
 impl<'s> WeakestClass<'s> {
+    /// Returns the weakest class of `scenario`; `None` if no class has devices.
     fn new(scenario: &'s Scenario) -> Option<Self> {
         let classes = EnergyBalance::new(scenario).classes;
         let is_one_of_several = classes.len() > 1;
@@ -125,9 +130,10 @@ impl<'s> WeakestClass<'s> {
         }
     }
 
-    /// Lists which values of a field pay for sleeping, unless the harvest does so already, and for sensing in every TTI.
-    /// `value_for` returns the value at which the harvest equals a consumption in units per TTI; `None` if none does.
-    fn amounts(&self, value_for: impl Fn(f64) -> Option<f64>) -> Vec<String> {
+    /// Lists which values of a field pay for sleeping and for sensing in every TTI, unless the harvest does so already.
+    /// `value_for` returns the value at which the harvest equals a consumption in units per TTI; `None` if no value
+    /// suffices.
+    fn sufficient_values(&self, value_for: impl Fn(f64) -> Option<f64>) -> Vec<String> {
         let costs = [
             (self.balance.sleeping_cost, "sleeping"),
             (self.balance.sensing_cost, "sensing in every TTI"),
@@ -141,12 +147,12 @@ impl<'s> WeakestClass<'s> {
 
     /// Returns the changes that give the devices more energy. A larger battery is among them only if batteries
     /// overflowed.
-    fn harvest_more(&self, energy: Option<RunEnergy>) -> Vec<String> {
-        let with_amounts = |change: String, amounts: Vec<String>| {
-            if amounts.is_empty() {
+    fn ways_to_harvest_more(&self, energy: Option<RunEnergy>) -> Vec<String> {
+        let with_values = |change: String, values: Vec<String>| {
+            if values.is_empty() {
                 change
             } else {
-                format!("{change}: {}", amounts.join(", "))
+                format!("{change}: {}", values.join(", "))
             }
         };
         let mean = self.balance.harvest.mean;
@@ -154,26 +160,28 @@ impl<'s> WeakestClass<'s> {
         let factor_for = |cost: f64| (mean > 0.0).then(|| cost / mean);
         let mut changes = Vec::new();
         if let Harvest::Trace(_) = self.class.harvest {
-            changes.push(with_amounts(
+            changes.push(with_values(
                 "raise harvest.trace.scale (the panel's area_cm2 with irradiance) by a factor".to_owned(),
-                self.amounts(factor_for),
+                self.sufficient_values(factor_for),
             ));
         } else {
+            // Every source except a trace has the field `harvest.e_b`, which `max_per_tti` returns.
             let e_b = self.class.harvest.max_per_tti().units();
+            // λτ·exp(-λτ) is largest at λτ = 1. From 0.5 on, a larger λ adds at most 22 %.
             if let Harvest::Eq5(Arrivals { lambda, .. }) = self.class.harvest
                 && lambda * self.tau < 0.5
             {
                 let lambda_for =
                     |cost: f64| Some(lambdas_with_positive_net(LambdaReading::Eq5, e_b, cost, self.tau)?.0);
-                let amounts = self.amounts(lambda_for);
-                if self.can_sleep() || !amounts.is_empty() {
+                let values = self.sufficient_values(lambda_for);
+                if self.can_sleep() || !values.is_empty() {
                     let change = format!("raise harvest.lambda = {}", format_significant(lambda, 3));
-                    changes.push(with_amounts(change, amounts));
+                    changes.push(with_values(change, values));
                 }
             }
-            changes.push(with_amounts(
+            changes.push(with_values(
                 format!("raise harvest.e_b = {}", format_significant(e_b, 3)),
-                self.amounts(|cost| Some(e_b * factor_for(cost)?)),
+                self.sufficient_values(|cost| Some(e_b * factor_for(cost)?)),
             ));
         }
         if !self.can_sleep() && mean > 0.0 {
@@ -191,18 +199,18 @@ impl<'s> WeakestClass<'s> {
 
     /// Returns the changes that help devices without enough energy: more energy, and less consumption by the policy or
     /// by the changes in `spend_less` if the harvest pays for sleeping.
-    fn save_energy(&self, energy: Option<RunEnergy>, policy: &str, spend_less: &[&str]) -> Vec<String> {
-        let mut changes = self.harvest_more(energy);
+    fn ways_to_save_energy(&self, energy: Option<RunEnergy>, policy: &str, spend_less: &[&str]) -> Vec<String> {
+        let mut changes = self.ways_to_harvest_more(energy);
         if self.can_sleep() {
-            let others = spend_less.iter().copied().chain(ways_to_sense_less(policy));
-            changes.extend(others.map(str::to_owned));
+            let savings = spend_less.iter().copied().chain(ways_to_sense_less(policy));
+            changes.extend(savings.map(str::to_owned));
         }
         changes
     }
 }
 
 /// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
-pub(super) fn advice(
+pub(super) fn advise(
     scenario: &Scenario,
     cause: MissCause,
     (count, missed): (u64, usize),
@@ -221,30 +229,31 @@ pub(super) fn advice(
     }
 }
 
-/// Returns what happened to the events of `cause`, sentences about the energy of the devices, and changes against it.
-/// In a run with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+/// Returns, in this order, the part of a sentence that follows "missed events were", sentences about the energy of the
+/// devices, and the changes against `cause`. In a run with many device-TTIs of low energy, devices sleep to save
+/// energy, and more sensing would only empty them.
 fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let weakest = WeakestClass::new(scenario);
     let save_energy = |spend_less: &[&str]| {
         let weakest = weakest.as_ref();
-        weakest.map_or_else(Vec::new, |class| class.save_energy(energy, policy, spend_less))
+        weakest.map_or_else(Vec::new, |class| class.ways_to_save_energy(energy, policy, spend_less))
     };
     let harvest_more = || {
         weakest
             .as_ref()
-            .map_or_else(Vec::new, |class| class.harvest_more(energy))
+            .map_or_else(Vec::new, |class| class.ways_to_harvest_more(energy))
     };
     let balance = || weakest.as_ref().map_or_else(String::new, WeakestClass::describe);
-    let owned = |changes: Vec<&str>| changes.into_iter().map(str::to_owned).collect::<Vec<_>>();
+    let to_strings = |changes: Vec<&str>| changes.into_iter().map(str::to_owned).collect::<Vec<_>>();
     let low_energy = energy
         .map(|energy| energy.low_energy_pct)
-        .filter(|low| *low >= LOW_ENERGY_PCT);
+        .filter(|low_energy_pct| *low_energy_pct >= LOW_ENERGY_PCT);
     let mut background = None;
     let (finding, suggestions) = match cause {
         MissCause::OutOfReach => (
             format!("more than sensing.d_max = {d_max} m from every device"),
-            owned(vec![
+            to_strings(vec![
                 "place a device there with layout.file",
                 "raise devices",
                 "raise sensing.d_max",
@@ -252,14 +261,14 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
         ),
         MissCause::Removed => (
             "near devices that were removed with their process, or had failed".to_owned(),
-            owned(vec![
+            to_strings(vec![
                 "run with --on-loss wait, so that another process takes over lost devices",
                 "revive failed devices earlier, in the script of actions",
             ]),
         ),
         MissCause::Undetected => (
             format!("not detected by any device within sensing.d_max = {d_max} m"),
-            owned(vec![
+            to_strings(vec![
                 "lower sensing.eta",
                 "raise devices, so that events are closer to a device",
             ]),
@@ -267,15 +276,15 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
         MissCause::Asleep => (
             "within reach of devices that slept by plan".to_owned(),
             match low_energy {
-                Some(low) => {
+                Some(low_energy_pct) => {
                     background = Some(format!(
-                        "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty \
-                         them. {}",
+                        "Batteries were below energy.e_tx in {low_energy_pct:.0} % of device-TTIs, so more sensing \
+                         would empty them. {}",
                         balance()
                     ));
                     harvest_more()
                 }
-                None => owned(ways_to_sense_more(policy)),
+                None => to_strings(ways_to_sense_more(policy)),
             },
         ),
         MissCause::Unpowered => {
@@ -306,7 +315,7 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
         }
         MissCause::Lost => (
             "reported, and the radio lost every report".to_owned(),
-            owned(vec![
+            to_strings(vec![
                 if scenario.radio.bursts.is_some() {
                     "lower radio.bursts.loss"
                 } else {

@@ -1,6 +1,6 @@
 //! Missed events of one run: by cause, place, nearest device and time, and the change that the main cause suggests.
-//! `reveille inspect misses` prints it, [`crate::figures::misses`] draws it. All numbers cover counted events, as the
-//! metrics do.
+//! `deploy/src/run_reader.rs` fills [`Misses`] from the files of a run, `reveille inspect misses` prints it, and
+//! [`crate::figures::misses`] draws it. All numbers cover counted events, as the metrics do.
 
 mod advice;
 #[cfg(test)]
@@ -17,7 +17,7 @@ use reveille_common::totals::MissCause;
 
 pub use advice::{Advice, RunEnergy};
 
-/// Name of the cause of events whose table has no causes.
+/// Name of the cause of events whose table has no causes. A key in `inspect misses --json`, like the names of causes.
 pub const UNKNOWN_CAUSE: &str = "unknown";
 /// Most columns and rows of a [`MissMap`].
 const MAP_COLUMNS: usize = 16;
@@ -40,16 +40,16 @@ pub struct MissedEvent {
     pub distance_m: f64,
 }
 
-/// The missed events of a run.
+/// The missed events of a run. The caller of [`Misses::new`] fills all fields after `positions`.
 #[derive(Clone, Debug)]
 pub struct Misses {
     /// The scenario of the run.
     pub scenario: Scenario,
     /// Positions of the devices, metres, in the order of ids.
     pub positions: Vec<Point>,
-    /// Start of every counted event, missed or not.
-    pub starts: Vec<Tti>,
-    /// The missed events, in order.
+    /// Start of every counted event, missed or not, in order. None is in the warm-up.
+    pub counted_starts: Vec<Tti>,
+    /// The counted events that were missed, in order.
     pub missed: Vec<MissedEvent>,
     /// Number of missed events in the warm-up, which no other number includes.
     pub in_warm_up: u64,
@@ -66,10 +66,10 @@ pub struct MissMap {
     pub cell_m: f64,
     /// Cells per row.
     pub columns: usize,
-    /// Missed events.
-    pub missed: Vec<Vec<u64>>,
-    /// Devices.
-    pub devices: Vec<Vec<u64>>,
+    /// Numbers of missed events, by row and column.
+    pub missed_counts: Vec<Vec<u64>>,
+    /// Numbers of devices, by row and column.
+    pub device_counts: Vec<Vec<u64>>,
 }
 
 /// The events of a part of the run.
@@ -81,8 +81,8 @@ pub struct MissBin {
     pub end: Tti,
     /// Counted events that started in these TTIs.
     pub events: u64,
-    /// Missed events by cause, in the order of [`Misses::causes`].
-    pub missed: Vec<u64>,
+    /// Numbers of missed events by cause, in the order of [`Misses::causes`].
+    pub missed_by_cause: Vec<u64>,
 }
 
 /// A device that was the nearest to missed events.
@@ -90,9 +90,10 @@ pub struct MissBin {
 pub struct InvolvedDevice {
     /// The device.
     pub device: DeviceId,
-    /// Number of missed events.
-    pub missed: u64,
-    /// The most frequent cause of them; the first of equally frequent ones.
+    /// Number of missed events to which it was the nearest device.
+    pub missed_count: u64,
+    /// The most frequent cause of them; of equally frequent ones, the first in the order of `count_causes`. `None` is
+    /// an unknown cause.
     pub main_cause: Option<MissCause>,
     /// Mean distance of the events, metres.
     pub mean_distance_m: f64,
@@ -124,7 +125,7 @@ impl Misses {
         Self {
             scenario,
             positions,
-            starts: Vec::new(),
+            counted_starts: Vec::new(),
             missed: Vec::new(),
             in_warm_up: 0,
             end,
@@ -132,7 +133,7 @@ impl Misses {
         }
     }
 
-    /// Returns the index of the device nearest to each place, with the distance in metres.
+    /// Returns the device nearest to each place, with the distance in metres.
     pub fn nearest_devices(&self, places: impl IntoIterator<Item = Point>) -> Vec<(DeviceId, f64)> {
         let buckets = Buckets::new(&self.positions, self.scenario.area, self.scenario.sensing.d_max);
         let nearest = |place| {
@@ -147,7 +148,7 @@ impl Misses {
 
     /// Share of the counted events that were missed, %; NaN without events.
     pub fn missed_pct(&self) -> f64 {
-        100.0 * self.missed.len() as f64 / self.starts.len() as f64
+        100.0 * self.missed.len() as f64 / self.counted_starts.len() as f64
     }
 
     /// The causes that occur, each with its number of events, the most frequent first.
@@ -159,11 +160,11 @@ impl Misses {
     fn grid(&self) -> Grid {
         let area = self.scenario.area;
         let cell_m = round_up((area.width / MAP_COLUMNS as f64).max(area.height / MAP_ROWS as f64));
-        let cells = |length: f64| ((length / cell_m - 1e-9).ceil() as usize).max(1);
+        let cell_count = |length: f64| ((length / cell_m - 1e-9).ceil() as usize).max(1);
         Grid {
             cell_m,
-            columns: cells(area.width),
-            rows: cells(area.height),
+            columns: cell_count(area.width),
+            rows: cell_count(area.height),
         }
     }
 
@@ -173,8 +174,8 @@ impl Misses {
         MissMap {
             cell_m: grid.cell_m,
             columns: grid.columns,
-            missed: grid.count(self.missed.iter().map(|event| event.epicentre)),
-            devices: grid.count(self.positions.iter().copied()),
+            missed_counts: grid.count(self.missed.iter().map(|event| event.epicentre)),
+            device_counts: grid.count(self.positions.iter().copied()),
         }
     }
 
@@ -191,40 +192,40 @@ impl Misses {
             first: first + number * length,
             end: (first + (number + 1) * length).min(self.end),
             events: 0,
-            missed: vec![0; causes.len()],
+            missed_by_cause: vec![0; causes.len()],
         };
         let mut bins: Vec<MissBin> = (0..ttis.div_ceil(length)).map(bin).collect();
-        let index = |start: Tti| (start.0.saturating_sub(first.0) / length) as usize;
-        for start in &self.starts {
-            if let Some(bin) = bins.get_mut(index(*start)) {
+        let bin_index = |start: Tti| (start.0.saturating_sub(first.0) / length) as usize;
+        for start in &self.counted_starts {
+            if let Some(bin) = bins.get_mut(bin_index(*start)) {
                 bin.events += 1;
             }
         }
         for event in &self.missed {
-            let cause = causes.iter().position(|(cause, _)| *cause == event.cause);
-            if let (Some(bin), Some(cause)) = (bins.get_mut(index(event.start)), cause) {
-                bin.missed[cause] += 1;
+            let cause_index = causes.iter().position(|(cause, _)| *cause == event.cause);
+            if let (Some(bin), Some(cause_index)) = (bins.get_mut(bin_index(event.start)), cause_index) {
+                bin.missed_by_cause[cause_index] += 1;
             }
         }
         bins
     }
 
     /// The devices nearest to missed events: most events first, lower numbers first in a tie.
-    pub fn devices(&self) -> Vec<InvolvedDevice> {
+    pub fn involved_devices(&self) -> Vec<InvolvedDevice> {
         let mut by_device: BTreeMap<DeviceId, Vec<&MissedEvent>> = BTreeMap::new();
         for event in &self.missed {
             by_device.entry(event.nearest).or_default().push(event);
         }
         let involved = |(device, events): (DeviceId, Vec<&MissedEvent>)| InvolvedDevice {
             device,
-            missed: events.len() as u64,
+            missed_count: events.len() as u64,
             main_cause: count_causes(events.iter().copied())
                 .first()
                 .and_then(|(cause, _)| *cause),
             mean_distance_m: events.iter().map(|event| event.distance_m).sum::<f64>() / events.len() as f64,
         };
         let mut devices: Vec<InvolvedDevice> = by_device.into_iter().map(involved).collect();
-        devices.sort_by_key(|device| std::cmp::Reverse(device.missed));
+        devices.sort_by_key(|device| std::cmp::Reverse(device.missed_count));
         devices
     }
 
@@ -239,7 +240,7 @@ impl Misses {
         };
         let place = self.hot_spot(cause);
         let counts = (count, self.missed.len());
-        Some(advice::advice(&self.scenario, cause, counts, place, self.energy))
+        Some(advice::advise(&self.scenario, cause, counts, place, self.energy))
     }
 
     /// Returns the mean place of the events of `cause`, which must occur, in the cell with most of them.

@@ -1,4 +1,6 @@
-//! Tests of [`Misses`] on events of runs, with counts by brute force.
+//! Tests of [`Misses`] on events of runs, with counts by brute force, and of the advice. [`misses_of_run`] fills
+//! [`Misses`] like `deploy/src/run_reader.rs`, except for `energy` and `in_warm_up`. Numbers without a comment are
+//! chosen freely.
 
 use reveille_bs::scenario::{Override, Scenario, declaration, load};
 use reveille_common::event::EventRecord;
@@ -15,10 +17,10 @@ fn quick(set: &[&str]) -> Scenario {
 }
 
 /// Returns the missed events of a run of `scenario`, and all its events.
-fn misses(scenario: &Scenario) -> (Misses, Vec<EventRecord>) {
-    let all = collect_events(scenario);
+fn misses_of_run(scenario: &Scenario) -> (Misses, Vec<EventRecord>) {
+    let all_events = collect_events(scenario);
     let mut misses = Misses::new(scenario.clone());
-    for event in &all {
+    for event in &all_events {
         match (event.counted, event.tally.reports) {
             (true, 0) => misses.missed.push(MissedEvent {
                 event: event.event.0,
@@ -32,7 +34,7 @@ fn misses(scenario: &Scenario) -> (Misses, Vec<EventRecord>) {
             _ => {}
         }
         if event.counted {
-            misses.starts.push(event.start);
+            misses.counted_starts.push(event.start);
         }
     }
     let nearest = misses.nearest_devices(misses.missed.iter().map(|event| event.epicentre));
@@ -40,7 +42,7 @@ fn misses(scenario: &Scenario) -> (Misses, Vec<EventRecord>) {
         (event.nearest, event.distance_m) = (device, distance_m);
     }
     misses.end = Tti(scenario.run.ttis);
-    (misses, all)
+    (misses, all_events)
 }
 
 #[test]
@@ -51,8 +53,12 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
         "area.height=13",
         "ttis=1003",
     ]);
-    let (misses, all) = misses(&scenario);
-    let missed = || all.iter().filter(|event| event.counted && event.tally.reports == 0);
+    let (misses, all_events) = misses_of_run(&scenario);
+    let missed = || {
+        all_events
+            .iter()
+            .filter(|event| event.counted && event.tally.reports == 0)
+    };
     assert!(missed().count() > 20, "{} missed events", missed().count());
     assert_eq!(misses.missed.len(), missed().count());
     for (cause, count) in misses.causes() {
@@ -64,9 +70,10 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
     }
     assert!(misses.causes().is_sorted_by(|a, b| a.1 >= b.1));
 
+    // 20 m × 13 m in at most 16 × 16 cells.
     let map = misses.map();
-    assert_eq!((map.cell_m, map.columns, map.missed.len()), (2.0, 10, 7));
-    for (row, cells) in map.missed.iter().enumerate() {
+    assert_eq!((map.cell_m, map.columns, map.missed_counts.len()), (2.0, 10, 7));
+    for (row, cells) in map.missed_counts.iter().enumerate() {
         for (column, count) in cells.iter().enumerate() {
             let (west, south) = (2.0 * column as f64, 2.0 * row as f64);
             let is_here = |p: Point| (west..west + 2.0).contains(&p.x) && (south..south + 2.0).contains(&p.y);
@@ -75,7 +82,7 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
                 missed().filter(|event| is_here(event.epicentre)).count()
             );
             let devices = misses.positions.iter().filter(|p| is_here(**p)).count();
-            assert_eq!(map.devices[row][column] as usize, devices);
+            assert_eq!(map.device_counts[row][column] as usize, devices);
         }
     }
 
@@ -84,17 +91,17 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
     assert_eq!((bins.len(), bins[0].first, bins[9].end), (10, Tti(100), Tti(1003)));
     for bin in &bins {
         let is_here = |event: &&EventRecord| event.start >= bin.first && event.start < bin.end;
-        let counted = all.iter().filter(|event| event.counted);
+        let counted = all_events.iter().filter(|event| event.counted);
         assert_eq!(bin.events as usize, counted.filter(is_here).count());
         assert_eq!(
-            bin.missed.iter().sum::<u64>() as usize,
+            bin.missed_by_cause.iter().sum::<u64>() as usize,
             missed().filter(is_here).count()
         );
     }
 
-    let devices = misses.devices();
+    let devices = misses.involved_devices();
     assert_eq!(
-        devices.iter().map(|device| device.missed).sum::<u64>() as usize,
+        devices.iter().map(|device| device.missed_count).sum::<u64>() as usize,
         missed().count()
     );
     let distance = |device: usize, event: &EventRecord| misses.positions[device].distance(event.epicentre);
@@ -104,7 +111,7 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
     for device in &devices {
         let id = device.device.index();
         let near: Vec<&EventRecord> = missed().filter(|event| is_nearest(id, event)).collect();
-        assert_eq!(device.missed as usize, near.len());
+        assert_eq!(device.missed_count as usize, near.len());
         let mean = near.iter().map(|event| distance(id, event)).sum::<f64>() / near.len() as f64;
         assert!((device.mean_distance_m - mean).abs() < 1e-9, "{device:?}: {mean}");
     }
@@ -116,7 +123,7 @@ fn the_advice_names_fields_of_the_scenario_and_the_place() {
     for policy in ["knn", "adjusted", "q-learning", "random", "age-index", "dt", "genie"] {
         let scenario = quick(&[&format!("policy.name={policy}"), "radio.wake_miss=0.1"]);
         for cause in MissCause::ALL {
-            let advice = advice::advice(&scenario, cause, (3, 7), Point::new(1.0, 2.0), None);
+            let advice = advice::advise(&scenario, cause, (3, 7), Point::new(1.0, 2.0), None);
             let is_one = |change: &String| !change.contains(" or ") && !change.contains(';');
             assert!(
                 !advice.suggestions.is_empty() && advice.suggestions.iter().all(is_one),
@@ -164,17 +171,21 @@ fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
 #[test]
 fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
     let scenario = quick(&["policy.name=age-index"]);
-    let advice = |low: Option<(f64, f64)>| {
-        let energy = low.map(|(low_energy_pct, overflow_per_device_tti)| RunEnergy {
+    let advice_with = |energy_metrics: Option<(f64, f64)>| {
+        let energy = energy_metrics.map(|(low_energy_pct, overflow_per_device_tti)| RunEnergy {
             low_energy_pct,
             overflow_per_device_tti,
         });
-        advice::advice(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), energy)
+        advice::advise(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), energy)
     };
-    for low in [None, Some((4.9, 0.5))] {
-        assert_eq!(advice(low).suggestions, ["lower policy.age-index.price"]);
+    // The limit of low energy is 5 %.
+    for energy_metrics in [None, Some((4.9, 0.5))] {
+        assert_eq!(
+            advice_with(energy_metrics).suggestions,
+            ["lower policy.age-index.price"]
+        );
     }
-    let empty = advice(Some((38.8, 0.0)));
+    let empty = advice_with(Some((38.8, 0.0)));
     assert!(empty.finding.contains("39 % of device-TTIs"), "{empty}");
     let fields = empty.suggestions.iter().map(|text| text.split(" = ").next());
     assert!(
@@ -183,7 +194,7 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
     );
     assert!(empty.to_string().contains(". Raise harvest.lambda = 0.1: "), "{empty}");
     // A larger battery keeps what overflowed.
-    assert_eq!(advice(Some((38.8, 0.1))).suggestions[2], "raise energy.e_max");
+    assert_eq!(advice_with(Some((38.8, 0.1))).suggestions[2], "raise energy.e_max");
 }
 
 #[test]
@@ -191,19 +202,19 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
     // Eq. (5): λτ·exp(-λτ)·E_B = 0.1·exp(-0.1)·0.3 = 0.0271 units per TTI; a TTI in S4 costs 0.0714, in S1 1.
     let missed_pct = |set: &[&str]| {
         let all: Vec<&str> = [&["policy.name=age-index", "ttis=4000"], set].concat();
-        misses(&quick(&all)).0.missed_pct()
+        misses_of_run(&quick(&all)).0.missed_pct()
     };
     let starved = quick(&["policy.name=age-index", "harvest.e_b=0.3"]);
-    let advice = advice::advice(&starved, MissCause::Unpowered, (3, 7), Point::new(1.0, 2.0), None);
+    let advice = advice::advise(&starved, MissCause::Unpowered, (3, 7), Point::new(1.0, 2.0), None);
     assert!(advice.finding.contains("does not pay for sleeping"), "{advice}");
     assert!(
         advice.suggestions.iter().all(|text| !text.contains("policy")),
         "no policy helps: {advice}"
     );
-    let values = |change: &str| {
+    let values_of = |change: &str| {
         let text = advice.suggestions.iter().find(|text| text.starts_with(change));
         let text = text.unwrap_or_else(|| panic!("{change}: {advice}"));
-        let words = text.split_once(": ").expect("amounts").1.split(", ");
+        let words = text.split_once(": ").expect("values").1.split(", ");
         let numbers = words.map(|word| {
             word.split(' ')
                 .next()
@@ -213,7 +224,7 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
         });
         numbers.collect::<Vec<_>>()
     };
-    let e_b = values("raise harvest.e_b");
+    let e_b = values_of("raise harvest.e_b");
     let arrival = 0.1 * f64::exp(-0.1);
     for (value, cost) in e_b
         .iter()
@@ -222,7 +233,7 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
         assert!((value * arrival / cost.units() - 1.0).abs() < 0.01, "{advice}");
     }
     // 0.3·exp(-1) = 0.11 units per TTI are the most under Eq. (5): enough for sleeping, not for sensing.
-    let [lambda] = values("raise harvest.lambda")[..] else {
+    let [lambda] = values_of("raise harvest.lambda")[..] else {
         panic!("{advice}")
     };
     let paid = lambda * f64::exp(-lambda) * 0.3 / starved.classes[0].energy.e_wur.units();
@@ -231,6 +242,7 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
         missed_pct(&["harvest.e_b=0.3"]),
         missed_pct(&[&format!("harvest.e_b={}", e_b[1])]),
     );
+    // The limits only separate the two runs clearly.
     assert!(
         before > 50.0 && after < before / 4.0,
         "{before} % before, {after} % after"

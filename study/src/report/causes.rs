@@ -1,12 +1,20 @@
 //! Explanations of verdicts: the deviation, policies that were not run, and known causes. Read from the claims' caveats
-//! and from the runs' own metrics; [`super`] puts them into the rows. The lists name metrics, and a test checks that
-//! they exist.
+//! and from the runs' own metrics; [`super`] puts them into the rows. docs/reproduction.md contains the texts.
+//!
+//! The lists name metrics, and a test checks that they exist. A metric that is in neither list is never explained by
+//! empty batteries.
 
 use super::finding_text::describe_deviation;
 use super::judge::{Judgement, Verdict};
 use super::phrasing::format_number;
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
 use crate::figures::results::RunCondition;
+
+/// Explanation of a claim without runs. `lambda` uses it too, and `notes` compares explanations with it.
+pub(super) const NOT_RUN: &str = "The tables hold no such runs.";
+
+/// Explanation of a verdict that is not firm. `lambda` uses it too.
+pub(super) const NOT_FIRM: &str = "Our interval crosses the limit of this verdict; more runs would decide.";
 
 /// Share of devices with low energy, %, from which on batteries count as a cause.
 const LOW_ENERGY_CAUSE_PCT: f64 = 50.0;
@@ -15,13 +23,13 @@ const LOW_ENERGY_CAUSE_PCT: f64 = 50.0;
 const LOWERED_BY_LOW_ENERGY: [&str; 4] = ["info_p1", "info_per_event", "energy_per_device_tti", "mean_battery"];
 
 /// Metrics that empty batteries raise.
-const RAISED_BY_LOW_ENERGY: [&str; 2] = [MISDETECTION, "wrong_activations_per_event"];
+const RAISED_BY_LOW_ENERGY: [&str; 2] = [MISDETECTION_METRIC, "wrong_activations_per_event"];
 
 /// The metric of missed events.
-const MISDETECTION: &str = "misdetection_pct";
+const MISDETECTION_METRIC: &str = "misdetection_pct";
 
 /// The metric of devices with low energy.
-const LOW_ENERGY: &str = "low_energy_pct";
+const LOW_ENERGY_METRIC: &str = "low_energy_pct";
 
 /// Explains the verdict on `claim`; empty without a known cause.
 pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condition: &RunCondition) -> String {
@@ -42,29 +50,31 @@ pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, 
     }
     reasons.extend(sentence_on_missing_policies(claim, judgement));
     if !judgement.is_firm {
-        // `lambda` has the same sentence.
-        reasons.push("Our interval crosses the limit of this verdict; more runs would decide.".to_owned());
+        reasons.push(NOT_FIRM.to_owned());
     }
     reasons.join(" ")
 }
 
-/// Lists the policies in the comparison of the order.
+/// Lists the policies of [`Judgement::order_checks`] with their N: first the ones with the stated order.
 fn order_sentences(judgement: &Judgement) -> Vec<String> {
     let list_policies_with = |as_stated: bool| {
         let mut counts_by_policy: Vec<(&str, Vec<String>)> = Vec::new();
-        for (n, other, _) in judgement
+        for check in judgement
             .order_checks
             .iter()
-            .filter(|(_, _, is_as_stated)| *is_as_stated == as_stated)
+            .filter(|check| check.is_as_stated == as_stated)
         {
-            match counts_by_policy.iter_mut().find(|(known, _)| known == other) {
-                Some((_, device_counts)) => device_counts.push(n.to_string()),
-                None => counts_by_policy.push((*other, vec![n.to_string()])),
+            match counts_by_policy
+                .iter_mut()
+                .find(|(policy, _)| *policy == check.other_policy)
+            {
+                Some((_, device_counts)) => device_counts.push(check.n.to_string()),
+                None => counts_by_policy.push((check.other_policy, vec![check.n.to_string()])),
             }
         }
         let names = counts_by_policy
             .iter()
-            .map(|(other, device_counts)| format!("{other} (N = {})", device_counts.join(", ")));
+            .map(|(policy, device_counts)| format!("{policy} (N = {})", device_counts.join(", ")));
         names.collect::<Vec<_>>().join(", ")
     };
     let mut sentences = Vec::new();
@@ -108,9 +118,9 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
     } else {
         above_range.filter(|_| RAISED_BY_LOW_ENERGY.contains(&topic.metric))
     };
-    let low_energy =
-        finding_to_explain.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, LOW_ENERGY)?.mean)));
-    if let Some((n, share)) = low_energy.filter(|(_, share)| *share >= LOW_ENERGY_CAUSE_PCT) {
+    let share_with_low_energy =
+        finding_to_explain.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, LOW_ENERGY_METRIC)?.mean)));
+    if let Some((n, share)) = share_with_low_energy.filter(|(_, share)| *share >= LOW_ENERGY_CAUSE_PCT) {
         reasons.push(format!(
             "Batteries are empty: at N = {n}, {} % of the devices are below E_Tx at the end of a TTI.",
             format_number(share)
@@ -123,7 +133,7 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
         None => Some(format!("{} TTIs on average", events.duration)),
     });
     let has_too_few_misses =
-        topic.metric == MISDETECTION && claim.quantity == ClaimQuantity::Mean && below_range.is_some();
+        topic.metric == MISDETECTION_METRIC && claim.quantity == ClaimQuantity::Mean && below_range.is_some();
     if let Some(duration) = duration.filter(|_| has_too_few_misses) {
         reasons.push(format!(
             "An event lasts {duration} here and is missed only if none of them brings a report."
@@ -131,9 +141,6 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
     }
     reasons
 }
-
-/// Explanation of a claim without runs. `notes` compares explanations with it.
-pub(super) const NOT_RUN: &str = "The tables hold no such runs.";
 
 #[cfg(test)]
 mod tests {
@@ -146,7 +153,7 @@ mod tests {
         let names = LOWERED_BY_LOW_ENERGY
             .iter()
             .chain(&RAISED_BY_LOW_ENERGY)
-            .chain([&LOW_ENERGY]);
+            .chain([&LOW_ENERGY_METRIC]);
         for name in names {
             assert!(Metrics::NAMES.contains(name), "{name}");
         }

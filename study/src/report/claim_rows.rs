@@ -1,11 +1,12 @@
-//! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition.
-//! [`REPORT_PRESETS`] must be names of presets; the first columns have their order.
+//! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition. [`super`]
+//! and `lambda` make them; [`super::markdown`], [`super::page`] and [`super::search`] show them.
 
 use super::judge::Verdict;
 use crate::claims::{Citation, Contradiction};
 use crate::figures::results::RunCondition;
 
-/// Presets that come first in the report.
+/// Presets that come first in the report, in the order of their columns. They must be names of presets, which no test
+/// checks.
 pub const REPORT_PRESETS: [&str; 2] = ["paper", "paper-literal"];
 
 /// Our result for a claim under one condition.
@@ -17,7 +18,8 @@ pub struct Assessment {
     pub verdict: Verdict,
     /// Whether the verdict holds throughout the interval.
     pub is_firm: bool,
-    /// Explanation of an unmet or doubtful verdict, and of missing runs; empty otherwise.
+    /// Explanation of an unmet or doubtful verdict, and of missing runs; empty otherwise. `notes` compares it with
+    /// `causes::NOT_RUN`.
     pub explanation: String,
     /// Deviation of our findings from the statement, for comparing conditions that do not meet the claim; infinite if
     /// undefined. A claim that is met within a tolerance may have a small deviation. See [`super::search`].
@@ -31,7 +33,7 @@ pub struct ClaimRow {
     pub paper_figure: &'static str,
     /// Description of the metric.
     pub metric_description: String,
-    /// The policy; for a claim on λ with its rank, `random, spends least`.
+    /// The policy; for a claim on λ with its rank, `random, spends least`. `notes` reads the policy up to the comma.
     pub policy: String,
     /// The N for which the claim is made.
     pub device_counts: String,
@@ -59,7 +61,7 @@ impl ClaimRow {
             .any(|assessment| assessment.verdict != Verdict::NotRun)
     }
 
-    /// All places of the claim in the paper.
+    /// All places of the claim in the paper, as text.
     pub fn citations(&self) -> String {
         match self.second_citation {
             Some(second) => format!("{}; {second}", self.citation),

@@ -8,8 +8,9 @@ use crate::claims::{Claim, Statement};
 ///
 /// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
 /// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
-/// of the range of all means. A constant level: half the range divided by the middle. Deviations are comparable only
-/// under the same claim.
+/// of the range of all means. A constant level: half the range divided by the middle. Unlike in the rule of
+/// [`super::judge`], these two ranges cover all compared policies together. Deviations are comparable only under the
+/// same claim.
 pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {
     if findings.is_empty() {
         return f64::INFINITY;
@@ -29,18 +30,25 @@ pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {
     }
 }
 
-/// Computes |ln| of the factor from `value` to the nearest value in `low` to `high`.
+/// Computes |ln| of the factor from `value` to the nearest value in `low` to `high`; infinite if the factor has no
+/// logarithm.
+///
+/// # Panics
+/// If `low` is above `high`.
 fn log_factor(value: f64, low: f64, high: f64) -> f64 {
     let nearest = value.clamp(low, high);
     let is_within = value.total_cmp(&nearest).is_eq();
     let factor = value / nearest;
-    match () {
-        () if is_within => 0.0,
-        () if factor > 0.0 => libm::log(factor).abs(),
-        () => f64::INFINITY,
+    if is_within {
+        0.0
+    } else if factor > 0.0 {
+        libm::log(factor).abs()
+    } else {
+        f64::INFINITY
     }
 }
 
+/// Reduces the values of all `findings` with `pick`; NaN without findings.
 fn reduce_values(findings: &[Finding], pick: fn(f64, f64) -> f64) -> f64 {
     findings
         .iter()

@@ -1,17 +1,17 @@
 //! Text for the findings on a claim and for their deviation from it, for the rows of the report. [`super::distance`]
-//! computes the deviation as a number; change both.
+//! computes the deviation as a number; change both. docs/reproduction.md contains the texts.
 
 use super::judge::Finding;
 use super::phrasing::{format_estimate, format_number, join_names};
 use crate::claims::{Claim, ClaimQuantity, Statement};
 
 /// Describes the findings on `claim`, in ascending order of N: a value with its interval, or the ends over several N or
-/// policies.
+/// policies. Empty without findings, which [`super::search`] and [`super`] check.
 pub(super) fn describe_findings(claim: &Claim, findings: &[Finding]) -> String {
     match (claim.statement, findings) {
         (_, []) => String::new(),
-        (Statement::Largest(_), _) => describe_extreme(claim, findings, Finding::is_above),
-        (Statement::Smallest(_), _) => describe_extreme(claim, findings, |a, b| b.is_above(a)),
+        (Statement::Largest(_), _) => describe_extreme(claim, findings, is_above),
+        (Statement::Smallest(_), _) => describe_extreme(claim, findings, |a, b| is_above(b, a)),
         (_, [one]) => format_with_interval(claim, one),
         (_, _) if findings.iter().all(|f| f.metric_estimate.is_some() && f.value == 0.0) => describe_zeros(findings),
         (Statement::Falls | Statement::Rises, [first, .., last]) => {
@@ -130,19 +130,21 @@ fn describe_farthest(findings: &[Finding], low: f64, high: f64, reference: &str)
     let farthest = findings.iter().max_by(|a, b| log_factor(a).total_cmp(&log_factor(b)))?;
     let text = describe_factor(farthest, low, high, reference)?;
     Some(if findings.len() > 1 {
-        // `describe_factor` begins with "Ours", whose first letter is one byte.
+        // The text begins with "Ours", whose first letter is one byte.
         format!("At N = {} o{}", farthest.n, &text[1..])
     } else {
         text
     })
 }
 
+/// Describes the factor between `finding` and the nearest value in `low` to `high`; `None` if it is not above 0. The
+/// text must begin with "Ours": [`describe_farthest`] replaces its first letter.
 fn describe_factor(finding: &Finding, low: f64, high: f64, reference: &str) -> Option<String> {
     let factor = finding.value / finding.value.clamp(low, high);
     (factor.is_finite() && factor > 0.0).then(|| format!("Ours is {} times {reference}.", format_number(factor)))
 }
 
-/// Lists the N and policies at which an order or a bound on a ratio fails.
+/// Lists the N and policies at which an order or a bound on a ratio fails; `None` if it holds everywhere.
 fn describe_failures(claim: &Claim, findings: &[Finding]) -> Option<String> {
     let (low, high) = claim.statement.range()?;
     let fails = |f: &&Finding| !(low < f.value && f.value < high);
@@ -154,7 +156,8 @@ fn describe_failures(claim: &Claim, findings: &[Finding]) -> Option<String> {
     (!failures.is_empty()).then(|| format!("It does not hold at {}.", join_names(&failures)))
 }
 
-/// Describes the largest step against a trend; `step` is measured from an earlier to a later finding.
+/// Describes the largest step against a trend; `None` without such a step. `step` is measured from an earlier to a
+/// later finding.
 fn describe_step_against(findings: &[Finding], step: impl Fn(&Finding, &Finding) -> f64) -> Option<String> {
     let precedes_in_trend = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));
@@ -169,10 +172,8 @@ fn describe_step_against(findings: &[Finding], step: impl Fn(&Finding, &Finding)
     ))
 }
 
-impl Finding {
-    fn is_above(&self, other: &Self) -> bool {
-        self.value > other.value
-    }
+fn is_above(a: &Finding, b: &Finding) -> bool {
+    a.value > b.value
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The claims on λ (Figs. 13 and 14): the λ from which on a device harvests more than it spends. They become rows of
 //! the report like the claims of [`crate::claims`], but follow a separate rule. `notes` reads the policy from the text
-//! of a row, up to the comma.
+//! of a row, up to the comma. docs/reproduction.md contains the texts.
 //!
 //! As in the paper, consumption is held fixed at a policy's spending in the tables (Fig. 8) while λ varies. The
 //! policies are those that the paper names at the ends of its ranges, regardless of their rank in our runs.
@@ -8,7 +8,7 @@
 use reveille_bs::scenario::Scenario;
 use reveille_common::harvest::HarvestKind;
 
-use super::causes::NOT_RUN;
+use super::causes::{NOT_FIRM, NOT_RUN};
 use super::claim_rows::{Assessment, ClaimRow, ConditionColumn};
 use super::judge::{AgreementLevel, Verdict, agreement_with_value, verdict_of};
 use super::phrasing::{format_exact, format_number, format_plus_minus};
@@ -19,20 +19,20 @@ use crate::figures::energy::extreme_consumptions;
 use crate::figures::results::RunCondition;
 use reveille_lab::stats::Estimate;
 
-/// Metric that is held fixed.
+/// Metric that is held fixed. [`extreme_consumptions`] ranks policies by it too.
 const CONSUMPTION_METRIC: &str = "energy_per_device_tti";
 /// Reading of a single λ.
 const SINGLE_LAMBDA: &str = "A single λ, \"as low as\", is read as the λ of the policy that spends least.";
 
 /// All claims on λ.
 pub(super) fn claim_rows(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
-    let rows = |stated: &'static StatedThreshold| {
+    let rows_of = |stated: &'static StatedThreshold| {
         // The first end has the least consumption, the second the most.
         let ends = stated.ends().enumerate();
         ends.map(move |(index, stated_end)| claim_row(stated, index == 1, stated_end, columns))
     };
-    let mut rows: Vec<ClaimRow> = STATED_THRESHOLDS.iter().flat_map(rows).collect();
-    // The report groups neighbouring rows, and the statements on Fig. 14 lie between those on Fig. 13.
+    let mut rows: Vec<ClaimRow> = STATED_THRESHOLDS.iter().flat_map(rows_of).collect();
+    // The report groups neighbouring rows, and statements on Fig. 14 lie between statements on Fig. 13.
     rows.sort_by_key(|row| row.paper_figure);
     rows
 }
@@ -141,7 +141,8 @@ fn rank_note(condition: &RunCondition, n: u32, spends_most: bool, policy: &str) 
     )
 }
 
-/// Judges the λ that `stated_end` states by the λ from which on the harvest under Eq. (5) exceeds `spent`.
+/// Judges the λ that `stated_end` states by the λ from which on the harvest under Eq. (5) exceeds `spent`, units per
+/// device and TTI. The sentences about E_B/e and λ·exp(-λ) hold for τ = 1, as in the paper.
 fn judge_threshold((e_b, tau): (f64, f64), stated_end: StatedEnd, spent: &Estimate) -> Assessment {
     let StatedEnd {
         lambda: stated_lambda,
@@ -182,21 +183,17 @@ fn judge_threshold((e_b, tau): (f64, f64), stated_end: StatedEnd, spent: &Estima
         && low.zip(high).is_some_and(|(a, b)| {
             agreement_with_value(a, stated_lambda) == agreement && agreement_with_value(b, stated_lambda) == agreement
         });
-    // `causes` has the same sentence.
-    let doubt = if is_firm {
-        ""
-    } else {
-        " Our interval crosses the limit of this verdict; more runs would decide."
-    };
+    let doubt = if is_firm { "" } else { NOT_FIRM };
     let explanation = if agreement == AgreementLevel::Yes {
-        doubt.trim_start().to_owned()
+        doubt.to_owned()
     } else {
-        let needed = e_b * LambdaReading::Eq5.probability(stated_lambda, tau);
-        format!(
-            "{policy} spends {} units here; the paper's λ corresponds to a consumption of {}.{doubt}",
+        let stated_consumption = e_b * LambdaReading::Eq5.probability(stated_lambda, tau);
+        let text = format!(
+            "{policy} spends {} units here; the paper's λ corresponds to a consumption of {}. {doubt}",
             format_number(spent.mean),
-            format_number(needed)
-        )
+            format_number(stated_consumption)
+        );
+        text.trim_end().to_owned()
     };
     Assessment {
         measured,

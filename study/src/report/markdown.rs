@@ -1,7 +1,9 @@
-//! The report as Markdown: a whole file ([`markdown`]), or sections of a page ([`page_sections`]).
+//! The report as Markdown: a whole file ([`markdown`]), or sections of a page ([`report_sections`]). [`super::page`]
+//! shows the same rows as HTML: change both.
 //!
 //! Section names are marks in `docs/reproduction.md`: `why` has the explanations, `readings` the interpretations of the
-//! paper, and `made` the origin of the report. Every table row must have the columns of its head.
+//! paper, and `made` the origin of the report. Every table row must have the columns of its head. The search uses
+//! `origin_section` and the functions for headings and cells.
 
 use std::fmt::Write as _;
 
@@ -13,7 +15,7 @@ use super::notes::{
 use super::page_sections::{PageSection, wrap_text};
 use super::{ClaimReport, ClaimRow, ConditionColumn, REPORT_PRESETS};
 
-/// Renders the whole report. `figures` are titles and files, and `command` is the command that made it.
+/// Renders the whole report. `figures` are pairs of a title and a file, and `command` is the command that made it.
 pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
     let mut out = String::from("# Claims of the paper and measurements of Reveille\n\n## Summary\n\n");
     for line in summarise_verdicts(report) {
@@ -48,7 +50,7 @@ pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command:
 }
 
 /// Renders the report as sections of a page, with third-level headings.
-pub fn page_sections(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection> {
+pub fn report_sections(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection> {
     let tables = report.rows_by_figure().into_iter();
     let tables = tables.map(|(figure, rows_of_figure)| {
         let rows = rows_of_figure.iter().map(|row| table_row(row));
@@ -171,7 +173,8 @@ fn explanations(report: &ClaimReport<'_>, is_included: impl Fn(&ConditionColumn<
     sentences
 }
 
-/// Describes the origin of the page: the command, the tables, and their experiments.
+/// Describes the origin of the page: the command, the tables, and their experiments. [`remove_headings_and_wrap`]
+/// removes its second-level heading, a line without other text.
 pub(super) fn origin_section(report: &ClaimReport<'_>, command: &str) -> String {
     let mut out = format!(
         "\n## How this report was made\n\nBy Reveille {}: `{command}`\n\n",

@@ -2,8 +2,8 @@
 //!
 //! [`crate::claims`] holds the paper's claims, and [`mod@judge`] the rule. [`ClaimReport`] applies the rule to merged
 //! result tables: a row for each claim, a column for each condition. [`page`] (HTML) and [`markdown`] render it;
-//! [`page_sections`] inserts the Markdown into hand-written pages. [`search`] ranks conditions by the same verdicts.
-//! `reveille report` writes the files.
+//! [`page_sections`] inserts the Markdown into hand-written pages, such as docs/reproduction.md. [`search`] ranks
+//! conditions by the same verdicts. `reveille report` writes the files.
 
 mod causes;
 mod claim_rows;
@@ -35,7 +35,7 @@ pub struct ClaimReport<'r> {
     pub results: &'r Results,
     /// The columns.
     pub columns: Vec<ConditionColumn<'r>>,
-    /// The claims, by figure of the paper.
+    /// The claims, by figure of the paper. Each row has one assessment by column. [`search`] numbers the rows.
     pub rows: Vec<ClaimRow>,
     /// Names of the conditions in the tables that have no runs for any claim.
     pub conditions_without_claims: Vec<String>,
@@ -67,7 +67,8 @@ impl ConditionsLeftOut {
         }
     }
 
-    /// Formats the conditions: `3 conditions of events.alpha and harvest.lambda`.
+    /// Formats the conditions, of which there are at least two: `3 conditions of events.alpha and harvest.lambda`. The
+    /// report, a note and an error contain the text.
     pub fn describe(&self) -> String {
         let fields = if self.fields.is_empty() {
             String::new()
@@ -109,7 +110,7 @@ impl<'r> ClaimReport<'r> {
     }
 
     fn judge_columns(results: &'r Results, columns: Vec<ConditionColumn<'r>>) -> Self {
-        let (columns, without_claims): (Vec<_>, Vec<_>) = columns.into_iter().partition(|c| is_shown(c));
+        let (columns, hidden_columns): (Vec<_>, Vec<_>) = columns.into_iter().partition(|c| is_shown(c));
         let mut rows = Vec::new();
         for topic in TOPICS {
             rows.extend(topic.claims.iter().map(|claim| claim_row(topic, claim, &columns)));
@@ -119,12 +120,12 @@ impl<'r> ClaimReport<'r> {
             results,
             columns,
             rows,
-            conditions_without_claims: without_claims.into_iter().map(|column| column.label).collect(),
+            conditions_without_claims: hidden_columns.into_iter().map(|column| column.label).collect(),
             conditions_left_out: ConditionsLeftOut::default(),
         }
     }
 
-    /// Groups the claims that have runs by the paper's figure.
+    /// Groups the claims that have runs by the paper's figure. Rows of one figure must be neighbours.
     pub fn rows_by_figure(&self) -> Vec<(&'static str, Vec<&ClaimRow>)> {
         let mut groups: Vec<(&'static str, Vec<&ClaimRow>)> = Vec::new();
         for row in self.rows.iter().filter(|row| row.has_runs()) {
@@ -159,7 +160,11 @@ impl<'r> ClaimReport<'r> {
         texts.filter(|(_, text)| !text.is_empty())
     }
 
-    /// Formats the number of claims with `verdict` in column `column`, and the number of doubtful ones among them.
+    /// Formats the number of claims with `verdict` in column `column`, and the number of doubtful ones among them with
+    /// the sign `?` that `notes::verdict_cell` adds to their verdicts.
+    ///
+    /// # Panics
+    /// If the report has no such column.
     pub fn tally_text(&self, column: usize, verdict: Verdict) -> String {
         let is_doubtful =
             |row: &&ClaimRow| row.assessments[column].verdict == verdict && !row.assessments[column].is_firm;
@@ -171,6 +176,9 @@ impl<'r> ClaimReport<'r> {
     }
 
     /// Counts the claims with `verdict` in column `column`, doubtful or not.
+    ///
+    /// # Panics
+    /// If the report has no such column.
     pub fn count_verdict(&self, column: usize, verdict: Verdict) -> usize {
         self.rows
             .iter()
@@ -182,13 +190,13 @@ impl<'r> ClaimReport<'r> {
 /// Counts the claims for which `condition` has runs.
 fn count_claims_with_runs(condition: &RunCondition) -> usize {
     let claims = TOPICS.iter().flat_map(|topic| topic.claims);
-    let is_run = |claim: &&Claim| {
+    let has_runs = |claim: &&Claim| {
         condition
             .device_counts(claim.policy)
             .into_iter()
             .any(|n| claim.device_counts.contains(n))
     };
-    claims.filter(is_run).count()
+    claims.filter(has_runs).count()
 }
 
 /// Whether a column is shown: a preset always, any other condition if it has runs for some claim.

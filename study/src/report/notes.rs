@@ -1,6 +1,7 @@
 //! Sentences around the tables of the report, shared by its Markdown and its HTML. `VERDICT_RULE` states the rule of
 //! `judge`, as does docs/figures-and-report.md: change all three. `reveille report --page docs/reproduction.md` writes
-//! the sentences to that page, which is not edited by hand.
+//! the sentences to that page, which is not edited by hand. `page` makes code of the text between backticks, so each
+//! sentence has an even number of them.
 
 use super::causes::NOT_RUN;
 use super::judge::Verdict;
@@ -18,8 +19,8 @@ pub(super) const VERDICT_RULE: &str = "A claim is reproduced if our mean is with
     one-sided 95 % bound replaces it: 3/n without a case in n events, the rule of three. No definition was changed to \
     meet a claim.";
 
-/// A list under a heading.
-pub(super) struct ReportNotes {
+/// A list under a heading, from which `page` makes the anchor of the section.
+pub(super) struct HeadedList {
     pub heading: &'static str,
     pub items: Vec<String>,
 }
@@ -146,8 +147,8 @@ fn explain_missing_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     reasons.into_iter().map(sentence).collect()
 }
 
-/// Lists the paper's contradictions, and the interpretations of ambiguous sentences.
-pub(super) fn remarks_on_paper(report: &ClaimReport<'_>) -> [ReportNotes; 2] {
+/// Lists the paper's contradictions, then the interpretations of ambiguous sentences.
+pub(super) fn remarks_on_paper(report: &ClaimReport<'_>) -> [HeadedList; 2] {
     let mut contradictions: Vec<String> = Vec::new();
     let mut interpretations: Vec<String> = Vec::new();
     for row in &report.rows {
@@ -179,11 +180,11 @@ pub(super) fn remarks_on_paper(report: &ClaimReport<'_>) -> [ReportNotes; 2] {
         }
     }
     [
-        ReportNotes {
+        HeadedList {
             heading: "Contradictions in the paper",
             items: contradictions,
         },
-        ReportNotes {
+        HeadedList {
             heading: "Interpretation of sentences",
             items: interpretations,
         },
@@ -212,7 +213,7 @@ pub(super) fn describe_origins(report: &ClaimReport<'_>) -> Vec<String> {
     report.results.tables.iter().map(sentence).collect()
 }
 
-/// Formats the cell of a verdict.
+/// Formats the cell of a verdict in column `column`, with `?` if it is doubtful. The text needs no escaping.
 pub(super) fn verdict_cell(row: &ClaimRow, column: usize) -> String {
     let assessment = &row.assessments[column];
     let doubt = if assessment.is_firm || assessment.verdict == Verdict::NotRun {

@@ -1,6 +1,8 @@
-//! The report as one self-contained HTML page, with the rows and notes of [`super::markdown`]. Nothing is loaded.
-//! `page.css` styles the classes of `css_class`. All text passes `escape`, since labels, names and experiments come
-//! from the tables.
+//! The report as one self-contained HTML page, with the rows and notes of [`super::markdown`]: change both. The
+//! explanations follow their rows instead of a section. Nothing is loaded.
+//!
+//! `page.css` styles the classes, the first four columns of a claim, and the `data-label` of cells. All text passes
+//! `escape`, since labels, names and experiments come from the tables.
 
 use std::fmt::Write as _;
 
@@ -14,7 +16,7 @@ use crate::figures::svg::escape;
 
 const STYLE: &str = include_str!("page.css");
 
-/// Renders the page. `pictures` are SVGs.
+/// Renders the page. `pictures` are SVGs, and `command` is the command that made it.
 pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> String {
     let mut out = format!(
         "<!DOCTYPE html>\n\
@@ -216,6 +218,7 @@ fn table_row(report: &ClaimReport<'_>, row: &ClaimRow) -> String {
     reasons.retain(|reason| !reason.is_empty());
     out.push_str("</tr>\n");
     if !reasons.is_empty() {
+        // The columns of `table_head` without the first.
         let (width, reasons) = (
             4 + 2 * report.columns.len(),
             with_no_break_spaces(&reasons.join("<br>")),

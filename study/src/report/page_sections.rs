@@ -1,7 +1,9 @@
 //! Tables and lists of a report as sections of a hand-written page.
 //!
 //! Each section has a pair of marks in the page, `<!-- report NAME -->` and `<!-- /report NAME -->`, each on its own
-//! line. The text between them is replaced; the rest is kept.
+//! line. The text between them is replaced; the rest is kept. With `--page`, `reveille report` and its search call
+//! [`fill_page`] with the sections of [`super::markdown`] and [`super::search::markdown`]. Their names are marks in
+//! docs/reproduction.md. The notes of `reveille analyse` use [`wrap_text`].
 
 use textwrap::{Options, WordSeparator, WordSplitter};
 use thiserror::Error;

@@ -41,7 +41,7 @@ fn format_half_width(half_width: f64, mean: f64) -> String {
 
 /// Formats the estimate of a metric: a mean with its interval, or a bound.
 pub(super) fn format_estimate(estimate: &MetricEstimate) -> String {
-    let (mean, half_width) = (estimate.estimate.mean, estimate.estimate.half_width);
+    let (mean, half_width) = (estimate.mean_estimate.mean, estimate.mean_estimate.half_width);
     match (estimate.upper_bound, estimate.case_counts) {
         (Some(upper), Some(CaseCounts { cases: 0, events })) => {
             format!("0 in {events} events, < {}", format_number(upper))
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn values_near_zero_have_a_bound_instead_of_an_interval() {
         let estimate_of = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
-            estimate: Estimate::from_values_or_nan(values.iter().copied()),
+            mean_estimate: Estimate::from_values_or_nan(values.iter().copied()),
             case_counts: cases.map(|cases| CaseCounts { cases, events: 600 }),
             upper_bound: upper,
             lower_bound: None,

@@ -1,5 +1,6 @@
-//! Tests of [`ClaimReport`] and its pages, on small tables with values chosen around the paper's. The judgement of
-//! single claims is tested in `judge`.
+//! Tests of [`ClaimReport`] and its pages, on small tables with values chosen around the paper's. They rely on claims
+//! in `study/src/claims/`, found by figure, policy and text. The runs of `fixtures` have 2000 TTIs and 300 events. The
+//! judgement of single claims is tested in `judge`.
 
 use reveille_bs::scenario::{Override, load};
 use reveille_common::declare::NoFiles;
@@ -263,6 +264,7 @@ fn the_page_is_well_formed_and_self_contained_and_has_every_claim() {
     let anchors: Vec<&str> = tree.descendants().filter_map(|node| node.attribute("id")).collect();
     let targets = tree.descendants().filter_map(|node| node.attribute("href"));
     let targets: Vec<&str> = targets.map(|target| target.trim_start_matches('#')).collect();
+    // The six other links: runs, claims, contradictions, interpretations, figures and origin.
     assert_eq!(targets.len(), report.rows_by_figure().len() + 6, "contents {targets:?}");
     for target in targets {
         assert!(anchors.contains(&target), "no section {target} in {anchors:?}");
@@ -323,7 +325,7 @@ fn no_miss_is_bounded_by_the_rule_of_three() {
         (Verdict::Reproduced, false, "0 in 600 events, < 0.500")
     );
     assert!(report.tally_text(0, Verdict::Reproduced).ends_with(" ?"));
-    // One of two runs missed 1 % of its 300 events.
+    // One of two runs missed 1 % of its 300 events: 0.5 + 12.706 · 0.5, by Student's t with one degree of freedom.
     let genie = &row_with_value(&report, "Fig. 9", "genie", "≈ 0.003").assessments[0];
     assert!(
         genie.measured.starts_with("0.500, 3 in 600 events, < 6.85"),
@@ -414,6 +416,7 @@ fn claims_without_runs_are_summarised_in_one_line() {
     let results = small_results();
     let report = ClaimReport::new(&results);
     let not_run = report.rows.iter().filter(|row| !row.has_runs()).count();
+    // Most claims are not run; the limit is chosen freely.
     assert!(not_run > 50);
     let total = report.rows.len();
     let summary = format!("Not run and left out below: {not_run} of {total} claims (");
@@ -556,7 +559,7 @@ fn each_ranking_has_a_column_and_the_preset_column_has_p42() {
 fn page_sections_have_every_claim_with_runs() {
     let results = small_results();
     let report = ClaimReport::new(&results);
-    let sections = super::markdown::page_sections(&report, "command");
+    let sections = super::markdown::report_sections(&report, "command");
     let body = |name: &str| {
         let section = sections.iter().find(|section| section.name == name);
         &section.expect("a section").body

@@ -1,8 +1,10 @@
 //! Fuzzes the codec of bus messages: no payload panics, and a decoded value has the same wire form after encoding and
 //! decoding.
 //!
-//! The first byte selects a message kind, a reply kind or a batch for observers; the rest is the payload. The seeds of
-//! the corpus rely on the order of `MessageKind::ALL`.
+//! The first byte selects, with `K` kinds in `MessageKind::ALL`: below `K` a message of this kind, below `2 K` a reply
+//! to this kind, otherwise a batch for observers. The rest is the payload. Each file `seed-I` of the corpus begins with
+//! the byte `I`, so a kind added before the end of the list shifts the meaning of seeds. tests/fuzz/README.md shows how
+//! to run the target.
 
 #![no_main]
 
@@ -20,7 +22,7 @@ fn check_message(message: &Message) {
     let decoded = Message::decode(message.kind(), &wire).expect("an encoded message decodes");
     assert_eq!(decoded.encode(), wire, "the same wire form");
     assert!(!message.to_string().is_empty());
-    // Any answer is right, but no message may panic.
+    // Any answer is right, but no message may panic. The arguments are any number and device.
     message.concerns(Some(1), DeviceId(1));
 }
 
@@ -35,12 +37,12 @@ fn check_plan(update: &PlanUpdate) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((&choice, payload)) = data.split_first() else {
+    let Some((&selector, payload)) = data.split_first() else {
         return;
     };
-    let (choice, kinds) = (usize::from(choice), MessageKind::ALL);
-    let kind = kinds[choice % kinds.len()];
-    match choice / kinds.len() {
+    let (selector, kinds) = (usize::from(selector), MessageKind::ALL);
+    let kind = kinds[selector % kinds.len()];
+    match selector / kinds.len() {
         0 => {
             let message = Message::decode(kind, payload);
             if let Ok(message) = &message {

@@ -1,7 +1,9 @@
 //! Fuzzes the readers of sweep journals and tables, trajectories, recordings, resume marks and input logs. A file is
 //! read or refused with an error; no content panics.
 //!
-//! The first byte selects the kind. Files that are read by path are in memory.
+//! The first byte modulo 7 selects: 0 a journal, 1 a CSV table, a zero byte and its sidecar, 2 a Parquet table, 3
+//! trajectories, 4 a resume mark, 5 an input log, 6 a recording. Files that are read by path are in memory, in
+//! `/dev/shm`. Marks and logs belong to the preset `quick`. tests/fuzz/README.md shows how to run the target.
 
 #![no_main]
 
@@ -21,7 +23,7 @@ use reveille_view::reconstruction::Reconstruction;
 use reveille_view::recording::RecordingReader;
 
 /// Identity of the sweep whose journal is fuzzed.
-const SWEEP: &str = "sweep";
+const SWEEP_IDENTITY: &str = "sweep";
 /// Cells of the sweep.
 const CELLS: u64 = 4;
 /// Seeds of each cell.
@@ -57,15 +59,15 @@ fn check_journal(lines: &[u8]) {
     let path = memory_path("runs.journal");
     // The file is left over from the previous input, except for the first one.
     let _result = fs::remove_file(&path);
-    drop(Journal::open(&path, SWEEP, CELLS, SEEDS).expect("a new journal"));
+    drop(Journal::open(&path, SWEEP_IDENTITY, CELLS, SEEDS).expect("a new journal"));
     let mut bytes = fs::read(&path).expect("its first line");
     bytes.extend_from_slice(lines);
     fs::write(&path, bytes).expect("memory to write to");
-    if let Ok(opened) = Journal::open(&path, SWEEP, CELLS, SEEDS) {
+    if let Ok(opened) = Journal::open(&path, SWEEP_IDENTITY, CELLS, SEEDS) {
         // Compare debug output, since NaN differs from itself.
         let kept = format!("{:?}", opened.runs());
         drop(opened);
-        let reopened = Journal::open(&path, SWEEP, CELLS, SEEDS).expect("the journal was repaired");
+        let reopened = Journal::open(&path, SWEEP_IDENTITY, CELLS, SEEDS).expect("the journal was repaired");
         assert_eq!((reopened.dropped_lines(), format!("{:?}", reopened.runs())), (0, kept));
     }
 }
@@ -87,10 +89,10 @@ fn check_recording(bytes: &[u8]) {
         // A larger scenario would make the input slow.
         .filter(|scenario| scenario.run.devices <= 64)
         .map(|scenario| Reconstruction::new(&scenario));
-    let mut fits = true;
+    let mut fits_so_far = true;
     while let Ok(Some(frame)) = reader.next_frame() {
-        if let Some(reconstruction) = reconstruction.as_mut().filter(|_| fits) {
-            fits = reconstruction.apply(&frame).is_ok();
+        if let Some(reconstruction) = reconstruction.as_mut().filter(|_| fits_so_far) {
+            fits_so_far = reconstruction.apply(&frame).is_ok();
         }
     }
 }
@@ -118,7 +120,7 @@ fn check_mark(text: &str) {
 fn check_input_log(text: &str) {
     match external_inputs::parse(text, scenario()) {
         Ok(inputs) => {
-            let lines: String = inputs.iter().map(|input| external_inputs::line(&input)).collect();
+            let lines: String = inputs.iter().map(|input| external_inputs::input_line(&input)).collect();
             let reread = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
             assert_eq!(reread.expect("written text can be read"), inputs);
             for removal in inputs.removals {
@@ -130,13 +132,13 @@ fn check_input_log(text: &str) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((choice, content)) = data.split_first() else {
+    let Some((selector, content)) = data.split_first() else {
         return;
     };
-    match choice % 7 {
+    match selector % 7 {
         0 => check_journal(content),
         1 => {
-            // A zero byte separates the table from its sidecar.
+            // The sidecar of a CSV file has its name with `.toml` after it.
             let table_end = content.iter().position(|byte| *byte == 0).unwrap_or(content.len());
             let (rows, sidecar) = content.split_at(table_end);
             write_in_memory("results.csv.toml", sidecar.get(1..).unwrap_or_default());

@@ -1,6 +1,7 @@
 //! Fuzzes `GrantFollower` (device crate) against a simple model, with plans, grants and wake-ups in any order. The
 //! follower must execute each TTI once and in order, with the δ of the latest plan, and must not panic. The target does
-//! not check that the host makes progress: `NotReady` is accepted at any time.
+//! not check that the host makes progress: `NotReady` is accepted at any time. Not exercised: changes by operators, a
+//! radio that loses plans, and a host that resumes a run.
 //!
 //! tests/fuzz/README.md shows how to run it. The order of the draws defines the meaning of a corpus file.
 
@@ -36,6 +37,7 @@ struct Host {
     latency: u64,
     /// First TTI that is not yet granted.
     next: u64,
+    /// The last executed grant.
     last_grant: Option<GrantMessage>,
 }
 
@@ -68,7 +70,8 @@ impl Host {
         }
     }
 
-    fn plan(&mut self, update: PlanUpdate) {
+    /// Sends a plan to the follower and checks whether it accepts the plan.
+    fn check_plan(&mut self, update: PlanUpdate) {
         let PlanUpdate { from, plan } = update.clone();
         let is_accepted = from.0 >= self.next && from.0 < RUN_TTIS;
         assert_eq!(
@@ -81,7 +84,8 @@ impl Host {
         }
     }
 
-    fn grant(&mut self, grant: GrantMessage) {
+    /// Sends a grant to the follower and checks its decision.
+    fn check_grant(&mut self, grant: GrantMessage) {
         match self.follower.receive_grant(grant) {
             Disposition::Retransmit => assert_eq!(
                 self.last_grant.map(|last| last.last),
@@ -98,6 +102,7 @@ impl Host {
         );
     }
 
+    /// Checks the changes of δ and the sensing devices of a grant that the follower executes.
     fn check_task(&mut self, grant: GrantMessage, task: GrantTask) {
         assert!(
             grant.first.0 == self.next && grant.last >= grant.first && grant.last.0 < RUN_TTIS,
@@ -126,7 +131,11 @@ impl Host {
         assert!(changes.next().is_none(), "changes of TTIs outside the grant");
         assert_eq!(plan_count, grant.plan_count, "number of plans in the grant");
         let current_plan_from = (0..=grant.last.0).rev().find(|&k| self.plans[k as usize].is_some());
-        assert_eq!(current_plan_from, Some(grant.plan_from.0), "first TTI of the current plan");
+        assert_eq!(
+            current_plan_from,
+            Some(grant.plan_from.0),
+            "first TTI of the current plan"
+        );
         let detecting_devices: Vec<usize> = (0..self.duties.len())
             .filter(|&j| {
                 let is_in_range = |stimulus: Stimulus| {
@@ -140,16 +149,17 @@ impl Host {
     }
 
     /// Whether a wake-up sent in TTI `tti` can follow other wake-ups of `grant`, each of which takes the latency.
-    fn is_in_wake_chain(&self, grant: &GrantMessage, tti: Tti) -> bool {
+    fn is_in_wake_up_chain(&self, grant: &GrantMessage, tti: Tti) -> bool {
         // Drawn TTIs are at most 5 after the last grant, so that no chain has 100 wake-ups.
         (0..100).any(|earlier_wake_ups| grant.last.0 + earlier_wake_ups * self.latency == tti.0)
     }
 
-    fn wake(&self, device: DeviceId, wake: WakeUp) {
+    /// Sends a wake-up to the follower and checks its decision.
+    fn check_wake_up(&self, device: DeviceId, wake: WakeUp) {
         let is_own_device = (FIRST_DEVICE..FIRST_DEVICE + DEVICE_COUNT).contains(&device.0);
         let grant = self
             .last_grant
-            .filter(|grant| is_own_device && grant.stimulus.is_some() && self.is_in_wake_chain(grant, wake.tti));
+            .filter(|grant| is_own_device && grant.stimulus.is_some() && self.is_in_wake_up_chain(grant, wake.tti));
         let expected_task = grant.map(|grant| WakeUpTask {
             device: (device.0 - FIRST_DEVICE) as usize,
             tti: grant.last,
@@ -158,8 +168,9 @@ impl Host {
         assert_eq!(self.follower.receive_wake_up(device, wake), expected_task);
     }
 
-    /// Returns whether the follower accepts the end of the run before TTI `end`.
-    fn collect_ledgers(&mut self, end: Tti) -> bool {
+    /// Requests the ledgers and checks the decision. Returns whether the follower accepts the end of the run before TTI
+    /// `end`.
+    fn check_ledger_request(&mut self, end: Tti) -> bool {
         let is_accepted = self.follower.receive_collect_ledgers(end) == Disposition::Execute(());
         assert_eq!(is_accepted, end.0 == self.next, "ledgers at the end before TTI {end}");
         is_accepted
@@ -240,30 +251,30 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
             0..=2 => {
                 let from = draw_tti_near(host.next, input)?;
                 let plan = draw_plan(input)?;
-                host.plan(PlanUpdate { from, plan });
+                host.check_plan(PlanUpdate { from, plan });
             }
-            3..=5 => host.grant(draw_grant(&host, input)?),
+            3..=5 => host.check_grant(draw_grant(&host, input)?),
             // The base station repeats a grant that is not answered.
             6 => {
                 if let Some(last_grant) = host.last_grant {
-                    host.grant(last_grant);
+                    host.check_grant(last_grant);
                 }
             }
             7 => {
                 let tti = draw_tti_near(host.next, input)?;
                 // The last id belongs to another host.
                 let device = DeviceId(input.int_in_range(0..=FIRST_DEVICE + DEVICE_COUNT)?);
-                host.wake(device, WakeUp { tti });
+                host.check_wake_up(device, WakeUp { tti });
             }
             // A grant with fields that `draw_grant` never draws, such as TTIs far from the next one.
             8 => {
                 let length = input.int_in_range(0..=64)?;
                 if let Ok(ClockMessage::Grant(grant)) = codec::decode::<ClockMessage>(input.bytes(length)?) {
-                    host.grant(grant);
+                    host.check_grant(grant);
                 }
             }
             _ => {
-                if host.collect_ledgers(draw_tti_near(host.next, input)?) {
+                if host.check_ledger_request(draw_tti_near(host.next, input)?) {
                     // A host executes nothing after it has sent its ledgers.
                     return Ok(());
                 }

@@ -2,6 +2,10 @@
 //! join, get ready, leave, return, send expected and unexpected messages, and are replaced or removed. The records do
 //! not panic, each device has one host when the run starts, and a barrier for a grant or ledgers is complete only with
 //! all answers. The order of the draws defines the meaning of a corpus file.
+//!
+//! [`HostRecords`] repeats how `join`, `subscriptions`, `failure_detection` and `run_loop` of the base station call the
+//! records: change both. Not exercised: hosts that are late to become ready, the credentials of messages, and requests
+//! for totals or views. tests/fuzz/README.md shows how to run the target.
 
 #![no_main]
 
@@ -30,12 +34,13 @@ struct HostRecords {
     admission: Admission,
     barrier: Barrier,
     lost_hosts: LostHosts,
-    /// Credentials of all hosts that were ever admitted.
+    /// Credentials of all hosts that were ever admitted, revoked ones too.
     credentials: Vec<HostCredential>,
     is_running: bool,
     /// Otherwise the run continues without the devices of lost hosts.
     waits_for_lost_hosts: bool,
     now: Instant,
+    /// The last granted TTI.
     tti: u64,
 }
 
@@ -91,6 +96,7 @@ impl HostRecords {
         self.credentials.push(credential);
     }
 
+    /// Handles a join request.
     fn join(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
         let newcomer = self.draw_newcomer(input)?;
         let token = newcomer.token;
@@ -182,6 +188,7 @@ impl HostRecords {
         }
     }
 
+    /// Sends a report or an answer from any host to the barrier.
     fn receive_message(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
         // Also hosts, a device and TTIs that do not exist.
         let host = HostId(input.int_in_range(0..=20)?);

@@ -2,7 +2,8 @@
 //! without a panic. Accepted tables are written and read again without a change.
 //!
 //! The first byte modulo 3 selects: 0 the text of tables, 1 their body under a valid header and checksum, as
-//! `LearnedTables::to_json` writes it, 2 a model. Corpora rely on these numbers (`tests/fuzz/README.md`).
+//! `LearnedTables::to_json` writes it, 2 a model. Corpora rely on these numbers. tests/fuzz/README.md names a seed and
+//! shows how to run the target.
 
 #![no_main]
 

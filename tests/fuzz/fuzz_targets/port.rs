@@ -1,5 +1,6 @@
 //! Fuzzes the messages of the policy port in both encodings: each is decoded or refused with an error, and a decoded
-//! message or decision is equal after encoding and decoding.
+//! message or decision is equal after encoding and decoding. The whole input is read as each type of message, without a
+//! byte that selects one; the seeds of the corpus are JSON. tests/fuzz/README.md shows how to run the target.
 
 #![no_main]
 
@@ -13,7 +14,10 @@ use reveille_common::ids::{DeviceId, Tti};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+/// Number of devices for which decisions are checked.
 const DEVICES: u32 = 11;
+/// A version from `OLDEST_PROTOCOL` to `PROTOCOL_VERSION` in `bs/src/policy/external/wire.rs`: others are refused.
+const PROTOCOL: u32 = 1;
 
 /// Checks that a decodable value survives encoding and decoding unchanged, and that others are refused with a reason.
 fn check_round_trip<T: DeserializeOwned + Serialize + PartialEq + std::fmt::Debug>(encoding: Encoding, bytes: &[u8]) {
@@ -52,7 +56,7 @@ fn check_decision(encoding: Encoding, bytes: &[u8]) {
             Decision::Wake(devices) => assert!(devices.iter().all(|device| device.0 < DEVICES)),
         }
         let header = WireHeader {
-            protocol: 1,
+            protocol: PROTOCOL,
             seq: reply.seq,
             tti: tti.0,
             stage: RequestKind::from(stage),

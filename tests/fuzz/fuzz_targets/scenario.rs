@@ -1,8 +1,10 @@
 //! Fuzzes scenario files and overrides: a text is refused with an error, or loads as a scenario. The text of that
 //! scenario loads as an equal scenario.
 //!
-//! The first byte selects the preset and the line that the text replaces, if any; a line that begins with `--set ` is
-//! an override. The seeds of the corpus rely on the meaning of the first byte.
+//! The first byte modulo 8 selects: 0 to 2 the preset of this index in `PRESETS`, in which the text replaces a line,
+//! otherwise the text alone. The byte divided by 8 is the line, so only the first 32 lines are replaced. A line that
+//! begins with `--set ` is an override, of which eight count. The seeds of the corpus rely on the meaning of the first
+//! byte and on the order of `PRESETS`. tests/fuzz/README.md shows how to run the target.
 
 #![no_main]
 
@@ -44,22 +46,22 @@ fn check_scenario(scenario: &Scenario) {
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((&mode, content)) = data.split_first() else {
+    let Some((&selector, content)) = data.split_first() else {
         return;
     };
     let Ok(text) = std::str::from_utf8(content) else { return };
-    let (flags, lines): (Vec<&str>, Vec<&str>) = text.split('\n').partition(|line| line.starts_with("--set "));
+    let (override_lines, lines): (Vec<&str>, Vec<&str>) = text.split('\n').partition(|line| line.starts_with("--set "));
     let mut overrides = Vec::new();
     // Further overrides would only make the input slow.
-    for flag in flags.into_iter().take(8) {
-        match Override::parse(&flag["--set ".len()..]) {
+    for line in override_lines.into_iter().take(8) {
+        match Override::parse(&line["--set ".len()..]) {
             Ok(parsed) => overrides.push(parsed),
             Err(error) => check_error(&error),
         }
     }
     let body = lines.join("\n");
-    let text = match mode % 8 {
-        preset @ 0..=2 => preset_with_line(PRESETS[usize::from(preset)].name, mode / 8, &body),
+    let text = match selector % 8 {
+        preset @ 0..=2 => preset_with_line(PRESETS[usize::from(preset)].name, selector / 8, &body),
         _ => body,
     };
     match parse(&text, "fuzzed", Path::new(NOWHERE), &overrides) {

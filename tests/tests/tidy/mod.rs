@@ -247,7 +247,7 @@ fn crates_use_only_lower_crates() {
 
 /// Protects: the vocabulary builds up from units to messages, so each part can be read after only the parts before it.
 #[test]
-fn modules_of_common_use_only_lower_layers() {
+fn modules_of_common_use_no_higher_layers() {
     let sources = sources();
     let layer_index = |module: &str| {
         LAYERS_OF_COMMON

@@ -154,7 +154,7 @@ impl ClientState<'_> {
         // decides a request again only if its decision was refused.
         let is_repetition = self.last_reply.as_ref().is_some_and(|(head, _)| *head == request.head);
         if !is_repetition || request.refused.is_some() {
-            let reply = DecisionReply::for_request(&request.head, &self.id, &self.run_key())
+            let reply = DecisionReply::for_request(&request.head, &self.id, &self.run_key_text())
                 .with_decision(&policy.decide(&request));
             self.last_reply = Some((request.head, reply));
             self.decision_count += 1;
@@ -162,8 +162,8 @@ impl ClientState<'_> {
         Ok(self.last_reply.as_ref().map(|(_, reply)| encoding.encode(reply)))
     }
 
-    /// The text of the run's key; empty if the run has none.
-    fn run_key(&self) -> String {
+    /// The secret key of the run as text, shown in every reply; empty if the run has none.
+    fn run_key_text(&self) -> String {
         self.identity.run_key.map_or_else(String::new, |key| key.to_string())
     }
 
@@ -191,7 +191,7 @@ impl ClientState<'_> {
             },
             id: self.id.clone(),
             name: self.identity.name.clone(),
-            key: self.run_key(),
+            key: self.run_key_text(),
             form: self.identity.encoding,
         };
         request.reply(request.encoding.encode(&reply), request.encoding)

@@ -5,7 +5,7 @@
 use anyhow::bail;
 use reveille_bs::scenario::Scenario;
 use reveille_common::scenario::{DeviceClass, Harvest};
-use reveille_study::analysis::battery::{BatteryComparison, BatteryStudy, SampleConfig, compare};
+use reveille_study::analysis::battery::{BatteryComparison, BatteryStudy, LevelBin, SampleConfig, compare};
 use reveille_study::analysis::harvest::LambdaReading;
 
 use super::lists::{build_scenario, parse_duties, parse_energies, parse_numbers};
@@ -192,7 +192,7 @@ fn availability_rows((study, comparison): &(BatteryStudy, BatteryComparison)) ->
 }
 
 fn level_rows((study, comparison): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
-    let row = |&(from, chain, measured): &(f64, f64, f64)| {
+    let row = |&LevelBin { from, chain, measured }: &LevelBin| {
         let values: [SheetValue; 3] = [from.into(), chain.into(), measured.into()];
         key_cells(study).into_iter().chain(values).collect()
     };

@@ -1,5 +1,5 @@
 //! `reveille analyse imin`: the paper's estimate of E(I_min), the mean of I_min, next to its mean over deployments.
-//! Names of columns are a public interface (see `sheet`).
+//! Names of columns are a public interface (see `sheet`). `docs/analysis.md` quotes the numbers; no test compares them.
 
 use reveille_study::analysis::imin::measure;
 
@@ -7,6 +7,7 @@ use super::lists::{build_scenario, split_list};
 use super::sheet::{Findings, Sheet};
 use crate::cli::IminArgs;
 
+/// The columns, in the order of the values of a row in [`run`].
 const COLUMNS: &[&str] = &[
     "layout",
     "n",
@@ -19,10 +20,10 @@ const COLUMNS: &[&str] = &[
     "deployments",
 ];
 
-/// Measures E(I_min).
+/// Measures E(I_min) for every layout with every N.
 pub(super) fn run(args: &IminArgs) -> anyhow::Result<()> {
     let mut rows = Vec::new();
-    let mut set_up = String::new();
+    let mut area_and_runs = String::new();
     for layout in split_list("--layouts", &args.layouts, "uniform,grid")? {
         for devices in split_list("--devices", &args.devices, "10,50,250")? {
             let fields = [
@@ -30,26 +31,26 @@ pub(super) fn run(args: &IminArgs) -> anyhow::Result<()> {
                 ("--devices", "devices", Some(devices)),
             ];
             let scenario = build_scenario(&args.study, &fields)?;
-            let result = measure(&scenario, args.seeds)?;
+            let comparison = measure(&scenario, args.seeds)?;
             rows.push(vec![
                 layout.into(),
                 scenario.run.devices.into(),
-                result.square_grid.into(),
-                result.measured.mean.into(),
-                result.measured.deviation.into(),
-                result.measured.half_width.into(),
-                result.measured_range.0.into(),
-                result.measured_range.1.into(),
-                (result.measured.runs as u64).into(),
+                comparison.square_grid.into(),
+                comparison.measured.mean.into(),
+                comparison.measured.deviation.into(),
+                comparison.measured.half_width.into(),
+                comparison.measured_range.0.into(),
+                comparison.measured_range.1.into(),
+                (comparison.measured.runs as u64).into(),
             ]);
-            set_up = format!(
+            area_and_runs = format!(
                 "{} × {} m · η {} · {} deployments",
                 scenario.area.width, scenario.area.height, scenario.sensing.eta, args.seeds
             );
         }
     }
     let findings = Findings {
-        title: format!("E(I_min) over deployments · {set_up}"),
+        title: format!("E(I_min) over deployments · {area_and_runs}"),
         sheets: vec![Sheet {
             name: "imin",
             title: "I_min = Ψ p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; \

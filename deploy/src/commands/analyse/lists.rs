@@ -1,5 +1,5 @@
 //! Parsing of lists on the command line, and the scenarios built from them. Only the studies of `reveille analyse` use
-//! it.
+//! it. Errors name the option: a function without a parameter `flag` serves one option, and repeats its name.
 
 use anyhow::bail;
 use reveille_bs::scenario::{Loaded, Override, Scenario, load};
@@ -8,7 +8,8 @@ use reveille_study::analysis::harvest::LambdaReading;
 
 use crate::cli::StudyArgs;
 
-/// Splits the list `text` given by `flag` into items.
+/// Splits the list `text` given by `flag` at commas into items. Empty items are dropped. `example` is a valid list, for
+/// the error.
 ///
 /// # Errors
 /// If the list is empty.
@@ -28,14 +29,14 @@ pub(super) fn split_list<'a>(flag: &str, text: &'a str, example: &str) -> anyhow
 /// # Errors
 /// If the list is empty, or a word is not a finite number.
 pub(super) fn parse_numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
-    let read = |word: &str| match word.parse::<f64>() {
+    let parse = |word: &str| match word.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         Ok(_) | Err(_) => bail!(
             "{flag} {text}: `{word}` is not a finite number; give numbers separated by commas, for example {flag} \
              {example}"
         ),
     };
-    split_list(flag, text, example)?.into_iter().map(read).collect()
+    split_list(flag, text, example)?.into_iter().map(parse).collect()
 }
 
 /// Parses the energies E_B of `--e-b`, units.
@@ -43,34 +44,32 @@ pub(super) fn parse_numbers(flag: &str, text: &str, example: &str) -> anyhow::Re
 /// # Errors
 /// If the list is empty, or a value is out of range.
 pub(super) fn parse_energies(text: &str) -> anyhow::Result<Vec<Energy>> {
-    let in_range = |units: f64| match Energy::from_units(units) {
+    let check = |units: f64| match Energy::from_units(units) {
         Some(energy) if energy > Energy::ZERO => Ok(energy),
         Some(_) | None => bail!("--e-b {text}: {units} must be above 0 and at most {MAX_UNITS} units an arrival"),
     };
-    parse_numbers("--e-b", text, "1,5,10")?
-        .into_iter()
-        .map(in_range)
-        .collect()
+    parse_numbers("--e-b", text, "1,5,10")?.into_iter().map(check).collect()
 }
 
-/// Parses the interpretations of λ as a probability in `--readings`.
+/// Parses the interpretations of λ as a probability in `--readings`. The error here and the help of the option repeat
+/// the names in [`LambdaReading::ALL`].
 ///
 /// # Errors
 /// If the list is empty, or a reading is unknown.
 pub(super) fn parse_readings(text: &str) -> anyhow::Result<Vec<LambdaReading>> {
-    let known = |word: &str| match LambdaReading::ALL.into_iter().find(|r| r.name() == word) {
+    let find = |word: &str| match LambdaReading::ALL.into_iter().find(|r| r.name() == word) {
         Some(reading) => Ok(reading),
         None => bail!("--readings {text}: `{word}` is not a reading of λ; must be eq5 or exp-minus-lambda"),
     };
-    split_list("--readings", text, "eq5")?.into_iter().map(known).collect()
+    split_list("--readings", text, "eq5")?.into_iter().map(find).collect()
 }
 
-/// Parses the duty cycles (t_on, t_DRX) of `--duty`.
+/// Parses the duty cycles of `--duty` into pairs (t_on, t_DRX), TTIs.
 ///
 /// # Errors
 /// If the list is empty, or an entry is not of the form t_on/t_DRX.
 pub(super) fn parse_duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
-    let read = |word: &str| {
+    let parse = |word: &str| {
         let pair = word
             .split_once('/')
             .and_then(|(on, drx)| Some((on.trim().parse().ok()?, drx.trim().parse().ok()?)));
@@ -82,10 +81,11 @@ pub(super) fn parse_duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
             None => bail!("--duty {text}: `{word}` must be t_on/t_DRX in TTIs, for example 1/8"),
         }
     };
-    split_list("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
+    split_list("--duty", text, "1/2,1/8")?.into_iter().map(parse).collect()
 }
 
-/// Builds the scenario of `study` with `fields` on top. Each entry has the option, the field and the value.
+/// Builds the scenario of `study` and logs its warnings. Each entry of `fields` has the option, the field and the
+/// value; `None` keeps the field. A value overrides `--set` of the same field, and `--seed` does too.
 ///
 /// # Errors
 /// If the scenario is invalid; the message names the field and the option.
@@ -95,8 +95,8 @@ pub(super) fn build_scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&s
         .iter()
         .map(|text| Override::parse(text))
         .collect::<Result<_, _>>()?;
-    let seed = [("--seed", "seed", study.seed.as_deref())];
-    for (flag, field, value) in seed.iter().chain(fields) {
+    let seed_field = [("--seed", "seed", study.seed.as_deref())];
+    for (flag, field, value) in seed_field.iter().chain(fields) {
         if let Some(value) = value {
             overrides.push(Override::from_flag(flag, field, value)?);
         }

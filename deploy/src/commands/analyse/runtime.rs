@@ -1,5 +1,6 @@
 //! `reveille analyse runtime`: the only study that reads the wall clock, so its numbers differ from call to call. Names
-//! of sheets and columns are a public interface (see `sheet`).
+//! of sheets and columns are a public interface (see `sheet`), as are the kinds of time in [`fit_rows`], by which
+//! `tests/program/analyse.rs` finds the columns. `docs/analysis.md` quotes the numbers.
 
 use reveille_bs::scenario::Scenario;
 use reveille_study::analysis::runtime::{TimedWork, fit_power_law, paper_complexity};
@@ -9,6 +10,7 @@ use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::RuntimeArgs;
 use crate::runtime::{median, now};
 
+/// Columns of the sheet `times`, in the order of [`time_row`].
 const TIME_COLUMNS: &[&str] = &[
     "policy",
     "n",
@@ -18,19 +20,25 @@ const TIME_COLUMNS: &[&str] = &[
     "wake_ups_per_decision",
     "plan_us",
 ];
+/// Columns of the sheet `fits`, in the order of [`fit_rows`]; `what` is the kind of time.
 const FIT_COLUMNS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
 
-/// The cell of a time about which the paper makes no statement.
+/// The cell of a time about which the paper makes no statement; `paper_complexity` repeats it.
 const NO_CLAIM: &str = "–";
 
-/// The times of one policy with one N.
+/// The times of one policy with one N, each the median of all repetitions.
 struct PolicyTimes {
+    /// Number of devices N.
     n: f64,
+    /// Seconds to deploy the devices and configure the policy.
     set_up_s: f64,
+    /// Seconds for a TTI of the run.
     tti_s: f64,
+    /// Seconds for all wake-ups after the reports of an event.
     decision_s: f64,
+    /// Mean over all repetitions.
     wake_ups_per_decision: f64,
-    /// Seconds for a sensing decision; NaN if a plan never changes.
+    /// Seconds for a sensing decision, of one TTI; NaN if the first plan stays valid for the whole run.
     plan_s: f64,
 }
 
@@ -91,32 +99,34 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<()> {
 }
 
 fn measure(scenario: &Scenario, args: &RuntimeArgs) -> PolicyTimes {
-    let (mut set_ups, mut runs, mut decisions, mut plans) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut set_up_times, mut tti_times) = (Vec::new(), Vec::new());
+    let (mut decision_times, mut plan_times) = (Vec::new(), Vec::new());
     let mut wake_ups = 0;
     for repetition in 0..args.repeat {
         // Each repetition has another seed, and so another deployment.
         let work = TimedWork::new(scenario.with_seed(scenario.run.seed.wrapping_add(repetition)));
         let started = now();
         let run = work.set_up();
-        set_ups.push(started.elapsed().as_secs_f64());
+        set_up_times.push(started.elapsed().as_secs_f64());
         let started = now();
         TimedWork::run(run);
-        runs.push(started.elapsed().as_secs_f64() / scenario.run.ttis as f64);
-        let mut decisions_work = work.prepare_decisions(args.events);
+        tti_times.push(started.elapsed().as_secs_f64() / scenario.run.ttis as f64);
+        let mut timed_decisions = work.prepare_decisions(args.events);
         let started = now();
-        wake_ups += decisions_work.decide_wake_ups();
-        decisions.push(started.elapsed().as_secs_f64() / args.events as f64);
+        wake_ups += timed_decisions.decide_wake_ups();
+        decision_times.push(started.elapsed().as_secs_f64() / args.events as f64);
         let started = now();
-        let planned = decisions_work.decide_plans(args.events);
+        // `--events` is also the number of planned TTIs.
+        let planned = timed_decisions.decide_plans(args.events);
         let seconds = started.elapsed().as_secs_f64() / args.events as f64;
-        plans.push(planned.map_or(f64::NAN, |()| seconds));
+        plan_times.push(planned.map_or(f64::NAN, |()| seconds));
     }
     PolicyTimes {
         n: f64::from(scenario.run.devices),
-        set_up_s: median(set_ups),
-        tti_s: median(runs),
-        decision_s: median(decisions),
-        plan_s: median(plans),
+        set_up_s: median(set_up_times),
+        tti_s: median(tti_times),
+        decision_s: median(decision_times),
+        plan_s: median(plan_times),
         wake_ups_per_decision: wake_ups as f64 / (args.events * args.repeat) as f64,
     }
 }
@@ -133,8 +143,8 @@ fn time_row(policy: &str, times: &PolicyTimes) -> Vec<SheetValue> {
     ]
 }
 
-/// One row for each kind of time; the exponent is NaN if none can be fitted. `complexity` is the paper's, of the
-/// set-up.
+/// Returns a row for each kind of time; the plan has one only if it was timed for every N. The exponent is NaN if none
+/// can be fitted. `complexity` is the paper's, of the set-up.
 fn fit_rows(policy: &str, complexity: &str, times: &[PolicyTimes]) -> Vec<Vec<SheetValue>> {
     let fit_row = |time_kind: &str, time: fn(&PolicyTimes) -> f64, claim: &str| {
         let points: Vec<(f64, f64)> = times.iter().map(|t| (t.n, time(t))).collect();

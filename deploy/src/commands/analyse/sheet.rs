@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use crate::cli::StudyArgs;
 use crate::display;
 
-/// One value of a table.
+/// A value of a table, in the column of the same position.
 #[derive(Clone, Debug)]
 pub(super) enum SheetValue {
     /// A text.
@@ -87,17 +87,21 @@ impl SheetValue {
 /// A table.
 #[derive(Clone, Debug)]
 pub(super) struct Sheet {
-    /// Its key in JSON; programs of users read it, so do not rename it.
+    /// Its key in JSON; programs of users read it, so do not rename it. Unique, and neither `title` nor `notes`, which
+    /// are keys of [`Findings`].
     pub name: &'static str,
     /// Its heading, which names the content of a row.
     pub title: String,
     /// Its columns: keys in JSON and headers elsewhere, which programs of users read.
     pub columns: &'static [&'static str],
-    /// Its rows, each with one value per column, in the order of `columns`.
+    /// Its rows, each with one value per column, in the order of `columns`. A shorter row panics in the text and fails
+    /// in the CSV; JSON drops its columns.
     pub rows: Vec<Vec<SheetValue>>,
 }
 
 impl Sheet {
+    /// # Panics
+    /// If a row is shorter than the header.
     fn to_text_table(&self) -> String {
         let mut table = Table::new();
         table

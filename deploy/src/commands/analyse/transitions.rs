@@ -1,5 +1,6 @@
 //! `reveille analyse transitions`: the paper's P_m,n next to the frequencies in runs. P_m,n is the probability that a
-//! device in state S_m changes to S_n. Names of columns are a public interface (see `sheet`).
+//! device in state S_m changes to S_n. Names of columns are a public interface (see `sheet`). `docs/analysis.md` quotes
+//! the numbers. The causes in [`explanations`] follow `study/src/analysis/transitions/mod.rs`.
 
 use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 
@@ -7,6 +8,7 @@ use super::lists::build_scenario;
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::TransitionsArgs;
 
+/// The columns, in the order of [`transition_row`].
 const COLUMNS: &[&str] = &[
     "transition",
     "printed",
@@ -32,7 +34,7 @@ pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<()> {
             ("--ttis", "ttis", args.ttis.as_deref()),
         ],
     )?;
-    let found = measure(&scenario, args.seeds)?;
+    let comparison = measure(&scenario, args.seeds)?;
     let findings = Findings {
         title: format!(
             "P_m,n of Sec. IV · {} · {} devices · {} TTIs · preset {} · {} runs",
@@ -47,9 +49,9 @@ pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<()> {
             title: "Printed: mean and range over devices. Measured: share of the visits of S_m, ± 95 % between runs."
                 .to_owned(),
             columns: COLUMNS,
-            rows: found.transitions.iter().map(transition_row).collect(),
+            rows: comparison.transitions.iter().map(transition_row).collect(),
         }],
-        notes: notes(&found),
+        notes: explanations(&comparison),
     };
     findings.present(&args.study)
 }
@@ -71,7 +73,8 @@ fn transition_row(t: &Transition) -> Vec<SheetValue> {
     ]
 }
 
-fn notes(found: &Transitions) -> Vec<String> {
+/// Explains the measured and the printed values, and each printed form that is not a probability for some device.
+fn explanations(comparison: &Transitions) -> Vec<String> {
     let mut notes = vec![
         "A measured frequency is the share of the visits of S_m whose next state is S_n, over all devices and measured \
          TTIs, with or without an event. Wilson's interval assumes independent visits. The half-width is Student's t \
@@ -82,16 +85,17 @@ fn notes(found: &Transitions) -> Vec<String> {
          TTI in which an event starts; P_4,2 assumes that the closest device has just reported."
             .to_owned(),
     ];
-    for t in found.transitions.iter().filter(|t| t.improper_count > 0) {
-        let why = match (t.from, t.to) {
+    for t in comparison.transitions.iter().filter(|t| t.improper_count > 0) {
+        let cause = match (t.from, t.to) {
             (1 | 3, 1) => "it sums several conditional probabilities of the same event, and is 0/0 where t_on = t_DRX",
             (1 | 3, 4) => "it is the complement of a sum that is not a probability",
             (4, 4) => "t_on/t_DRX + P_4,2 exceeds 1, as the two events are not disjoint",
+            // Only P_2,3 and its complement P_2,4 remain: the other pairs have forms within [0, 1].
             _ => "it uses Eq. (8) as printed; see `reveille analyse battery`",
         };
         notes.push(format!(
-            "P_{},{} as printed is not a probability for {} of {} devices: {why}.",
-            t.from, t.to, t.improper_count, found.device_count
+            "P_{},{} as printed is not a probability for {} of {} devices: {cause}.",
+            t.from, t.to, t.improper_count, comparison.device_count
         ));
     }
     notes

@@ -1,4 +1,5 @@
-//! The first differences in the messages of two recordings, found by `view/src/compare.rs`.
+//! The first differences in the messages of two recordings as text, found by `view/src/compare.rs`. The text is also
+//! `first` in `--json`; `tests/browser/check.py` and `docs/watching.md` repeat the start of its first line.
 
 use std::fmt::Write as _;
 
@@ -7,23 +8,24 @@ use reveille_view::recording::RecordingError;
 
 use crate::commands::inspect::source::RecordingFile;
 
-/// Most devices that are listed.
+/// Most devices that a difference between plans names.
 const MAX_NAMED_DEVICES: usize = 12;
 
-/// The difference of two recordings.
+/// The differences of two recordings.
 pub(super) struct MessageDifference {
-    /// The first difference of each kind of message, a line and two indented lines each; `None` without one.
+    /// The first difference of each kind of message, a line and two indented lines each; `None` without a difference.
     pub(super) text: Option<String>,
     /// The side and the error of a recording that is torn. The messages before the tear were compared.
     pub(super) torn: Option<(RunSide, RecordingError)>,
 }
 
-/// Finds the first differences of the recordings of run 1 and of run `number` from their current positions.
-pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile, number: usize) -> MessageDifference {
+/// Finds the first differences of the recordings of run 1, `this`, and of run `other_number`, from their current
+/// positions.
+pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile, other_number: usize) -> MessageDifference {
     let (comparison, torn) = compare_recordings(this, other);
     let mut text = String::new();
     for (nth, difference) in comparison.differences().iter().enumerate() {
-        let _infallible = write!(text, "{}", format_difference(difference, number, nth == 0));
+        let _infallible = write!(text, "{}", format_difference(difference, other_number, nth == 0));
     }
     let text = text.trim_end().to_owned();
     MessageDifference {
@@ -33,26 +35,26 @@ pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile, numbe
 }
 
 /// Formats a difference, followed by a line break and the indentation of the next difference.
-fn format_difference(difference: &FirstDifference, number: usize, is_first: bool) -> String {
+fn format_difference(difference: &FirstDifference, other_number: usize, is_first: bool) -> String {
     let FirstDifference { tti, kind, .. } = difference;
     let label = if is_first { "first difference" } else { "then" };
     let devices = difference.devices();
-    let named: Vec<String> = devices
+    let named_devices: Vec<String> = devices
         .iter()
         .take(MAX_NAMED_DEVICES)
         .map(ToString::to_string)
         .collect();
-    let of_devices = match devices.len() {
+    let device_list = match devices.len() {
         0 => String::new(),
         count if count > MAX_NAMED_DEVICES => format!(
             ", of devices {} and {} more",
-            named.join(", "),
+            named_devices.join(", "),
             count - MAX_NAMED_DEVICES
         ),
-        _ => format!(", of devices {}", named.join(", ")),
+        _ => format!(", of devices {}", named_devices.join(", ")),
     };
     format!(
-        "{label}: {} in TTI {tti}{of_devices}\n    run 1: {}\n    run {number}: {}\n  ",
+        "{label}: {} in TTI {tti}{device_list}\n    run 1: {}\n    run {other_number}: {}\n  ",
         kind.name(),
         difference.describe(RunSide::This),
         difference.describe(RunSide::Other)

@@ -1,6 +1,6 @@
 //! `reveille compare`: runs side by side, with their actions, scenario fields, metrics, digests and first difference;
-//! of sweeps, the differences between policies and tables. Programs of users read the keys of `--json`, so do not
-//! rename them. The text fits 80 columns.
+//! of sweeps, the differences between policies and tables. Programs of users read the keys of `--json`, here and in the
+//! submodules, so do not rename them. The text fits 80 columns (`tests/program/compare.rs`).
 
 mod messages;
 mod rows;
@@ -25,13 +25,14 @@ use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::{MAIN_METRICS, format_number};
 use run::{ComparedRun, Difference};
 
-/// Width of the names of metrics, and of the cell of a run, in columns.
+/// Width of the names of metrics, and of the cell of a run, in columns. With [`MAX_COLUMNS`] cells a line must fit into
+/// [`WIDTH`].
 const NAME_WIDTH: usize = 27;
 const CELL_WIDTH: usize = 17;
-/// Most runs in a table; more runs make further tables.
+/// Most runs in a table, run 1 included; more runs make further tables, each with run 1.
 const MAX_COLUMNS: usize = 3;
 
-/// Compares the runs or the policies of sweeps.
+/// Compares runs, or the policies of sweeps.
 pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let (sweeps, runs): (Vec<_>, Vec<_>) = args.runs.iter().partition(|path| sweep::is_sweep(path));
     match (sweeps.is_empty(), runs.iter().find(|path| !path.exists())) {
@@ -88,20 +89,20 @@ fn compare_runs(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     )
 }
 
-/// Returns the scenario fields in which the runs differ, with the value of each run.
+/// Returns the scenario fields in which the runs differ, with the value of each run, in their order.
 fn differing_fields(runs: &[ComparedRun]) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
     let (first, others) = runs.split_first().expect("at least two runs");
     let mut fields: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for (nth, other) in (1..).zip(others) {
-        for (field, this, value) in compare_scenarios(first.scenario_text(), other.scenario_text())? {
-            fields.entry(field).or_insert_with(|| vec![this; runs.len()])[nth] = value;
+    for (index, other) in (1..).zip(others) {
+        for (field, first_value, value) in compare_scenarios(first.scenario_text(), other.scenario_text())? {
+            fields.entry(field).or_insert_with(|| vec![first_value; runs.len()])[index] = value;
         }
     }
     Ok(fields)
 }
 
 fn json_report(runs: &[ComparedRun], fields: &BTreeMap<String, Vec<String>>, differences: &[Difference]) -> Value {
-    let run = |run: &ComparedRun| {
+    let run_json = |run: &ComparedRun| {
         let summary = run.summary();
         let half_widths = Metrics::ALL
             .iter()
@@ -116,11 +117,11 @@ fn json_report(runs: &[ComparedRun], fields: &BTreeMap<String, Vec<String>>, dif
             "half_widths": half_widths.collect::<BTreeMap<_, _>>(),
         })
     };
-    let difference = |difference: &Difference| json!({ "equal": difference.is_equal, "first": difference.text });
+    let difference_json = |difference: &Difference| json!({ "equal": difference.is_equal, "first": difference.text });
     json!({
-        "runs": runs.iter().map(run).collect::<Vec<_>>(),
+        "runs": runs.iter().map(run_json).collect::<Vec<_>>(),
         "fields": fields,
-        "differences": differences.iter().map(difference).collect::<Vec<_>>(),
+        "differences": differences.iter().map(difference_json).collect::<Vec<_>>(),
     })
 }
 
@@ -158,6 +159,7 @@ fn text_report(
         .iter()
         .any(|run| MAIN_METRICS.iter().any(|metric| run.half_width(metric).is_some()))
     {
+        // `PARTS` in `run` is the number of parts.
         text += "±: half-width of the 95 % interval of one run, from ten parts of its measured\n   TTIs\n";
     }
     text.push('\n');
@@ -172,19 +174,19 @@ fn text_report(
     text
 }
 
-/// Formats the metrics of the first run and of `others`, whose first has the number `number`. A second line shows the
-/// difference from the first run.
-fn format_metrics(all: bool, first: &ComparedRun, (number, others): (usize, &[ComparedRun])) -> String {
+/// Formats the main metrics, or all of them, of the first run and of `others`, which are numbered from `first_number`.
+/// A second line shows the difference from the first run.
+fn format_metrics(shows_all: bool, first: &ComparedRun, (first_number, others): (usize, &[ComparedRun])) -> String {
     let cell = |text: &str| format!("{text:>CELL_WIDTH$}");
     let mut text = format!("\n{:<NAME_WIDTH$}{}", "metric", cell("run 1"));
-    for number in number..number + others.len() {
+    for number in first_number..first_number + others.len() {
         text += &cell(&format!("run {number}"));
     }
     text.push('\n');
     let further_metrics = Metrics::ALL
         .iter()
         .map(|metric| metric.name)
-        .filter(|name| all && !MAIN_METRICS.contains(name));
+        .filter(|name| shows_all && !MAIN_METRICS.contains(name));
     for name in MAIN_METRICS.into_iter().chain(further_metrics) {
         let (mut values, mut changes) = (cell(&value_cell(first, name)), String::new());
         for other in others {
@@ -208,7 +210,7 @@ fn value_cell(run: &ComparedRun, metric: &str) -> String {
     }
 }
 
-/// Formats a difference and its share of the first value; empty without a difference.
+/// Formats a difference and its share of the first value; empty without a difference, or if a value is NaN.
 fn change_cell(first: f64, other: f64) -> String {
     let change = other - first;
     if change.is_nan() || change == 0.0 {
@@ -216,18 +218,15 @@ fn change_cell(first: f64, other: f64) -> String {
     }
     let share = 100.0 * change / first.abs();
     if share.is_finite() && share.abs() < 1000.0 {
-        format!("{} ({share:+.0} %)", signed(change))
+        format!("{} ({share:+.0} %)", format_signed(change))
     } else {
-        signed(change)
+        format_signed(change)
     }
 }
 
-fn signed(value: f64) -> String {
-    let sign = if value < 0.0 { '-' } else { '+' };
-    format!("{sign}{}", short(value.abs()))
-}
-
-/// Formats a number with three significant digits.
-fn short(value: f64) -> String {
-    format!("{value:.*}", decimals_for(value, 3))
+/// Formats a difference with its sign and three significant digits.
+fn format_signed(change: f64) -> String {
+    let sign = if change < 0.0 { '-' } else { '+' };
+    let size = change.abs();
+    format!("{sign}{size:.*}", decimals_for(size, 3))
 }

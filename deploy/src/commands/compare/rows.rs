@@ -1,24 +1,42 @@
-//! Rows of paired differences between policies or tables, as text by metric.
+//! Rows of paired differences between policies (`sweep`) or tables (`tables`), as text by metric and as JSON. Programs
+//! of users read the keys of the JSON. `docs/reading-results.md` shows the text.
 
 use std::fmt::Write as _;
 
 use reveille_common::digits::decimals_for;
 use reveille_common::score::Metrics;
 use reveille_study::figures::paired::PairedDifference;
+use serde_json::{Value, json};
 
 use crate::display::{WIDTH, wrap_text};
 use crate::results_table::format_number;
 
-/// The difference of a policy from the reference policy or the reference table.
-pub(super) struct Row<'r> {
+/// The difference of a policy from the reference policy, or from itself in the reference table.
+pub(super) struct DifferenceRow<'r> {
+    /// Name of the metric in result tables.
     pub metric: &'r str,
+    /// Name of the policy in figures.
     pub policy: &'r str,
+    /// Number of devices N of both.
     pub n: u32,
-    pub found: PairedDifference,
+    /// The means and their difference.
+    pub comparison: PairedDifference,
 }
 
-/// Formats differences by metric. `reference` names the column of the reference's means.
-pub(super) fn format_blocks(reference: &str, rows: &[Row<'_>]) -> String {
+impl DifferenceRow<'_> {
+    pub(super) fn to_json(&self) -> Value {
+        let comparison = self.comparison;
+        json!({
+            "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": comparison.seeds,
+            "mean": comparison.compared_mean, "against_mean": comparison.reference_mean, "difference": comparison.difference,
+            "half_width": comparison.half_width, "paired": comparison.is_paired,
+        })
+    }
+}
+
+/// Formats differences by metric; rows of the same metric must be next to each other. `reference` names the column of
+/// the reference's means. `sweep` explains the marks `~` and `–` below the last block.
+pub(super) fn format_blocks(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
     let blocks = rows.chunk_by(|a, b| a.metric == b.metric);
     blocks.map(|block| format_block(reference, block)).collect()
 }
@@ -31,7 +49,7 @@ fn format_signed(x: f64, decimals: usize) -> String {
 }
 
 /// Formats the differences by one metric; `rows` is not empty.
-fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
+fn format_block(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
     let metric = rows[0].metric;
     let unit = Metrics::find(metric).map_or("", |metric| metric.unit);
     let policy_width = rows
@@ -52,11 +70,14 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
         "{:<policy_width$} {:>5} {:>5} {:>10} {:>10}   difference and interval",
         "policy", "N", "seeds", "mean", reference
     );
-    for Row { policy, n, found, .. } in rows {
+    for DifferenceRow {
+        policy, n, comparison, ..
+    } in rows
+    {
         let PairedDifference {
             difference, half_width, ..
-        } = *found;
-        let mark = if found.is_paired || half_width.is_nan() {
+        } = *comparison;
+        let mark = if comparison.is_paired || half_width.is_nan() {
             ' '
         } else {
             '~'
@@ -75,9 +96,9 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
         let _infallible = writeln!(
             text,
             "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}",
-            found.seeds,
-            format_number(found.mean),
-            format_number(found.reference_mean),
+            comparison.seeds,
+            format_number(comparison.compared_mean),
+            format_number(comparison.reference_mean),
         );
     }
     text

@@ -1,4 +1,5 @@
-//! A run that is compared: its folder, or a recording of it.
+//! A run that `reveille compare` compares: its folder, or a recording of it. Texts of [`Difference`] are also `first`
+//! in `--json`; `docs/reading-results.md` shows them.
 
 use std::path::{Path, PathBuf};
 
@@ -9,13 +10,13 @@ use reveille_view::compare::RunSide;
 use serde_json::Value;
 
 use super::messages;
-use crate::commands::inspect::source::{RecordingFile, open};
+use crate::commands::inspect::source::{RecordingFile, open_recording};
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
-/// Number of parts of a run whose means give a half-width; the text of `compare` names it.
+/// Number of parts of a run from whose means a half-width is computed; the text in `super::text_report` names it.
 const PARTS: usize = 10;
-/// Most columns that a difference names.
+/// Most columns of `events.csv` that a difference names.
 const MAX_NAMED_COLUMNS: usize = 3;
 
 /// The tables of a run folder, or a recording.
@@ -28,14 +29,17 @@ enum Source {
 pub(super) struct ComparedRun {
     path: PathBuf,
     source: Source,
+    /// The scenario file, as TOML.
     scenario_text: String,
+    /// `summary.json`; null for a recording without a summary.
     summary: Value,
     actions: Vec<OperatorAction>,
-    /// Windows of measured TTIs, of a folder.
+    /// The windows of measured TTIs in `windows.csv`; empty for a recording.
     windows: Vec<Window>,
 }
 
-/// A window of measured TTIs: sums over its events, and means over devices and TTIs (from `energy` on).
+/// A row of `windows.csv`: sums over the events of the window, and means over devices and TTIs from
+/// `energy_per_device_tti` on.
 #[derive(Clone, Copy, Debug, Default)]
 struct Window {
     ttis: f64,
@@ -45,9 +49,9 @@ struct Window {
     information: f64,
     wake_ups: f64,
     wrong_activations: f64,
-    energy: f64,
-    battery: f64,
-    low: f64,
+    energy_per_device_tti: f64,
+    mean_battery: f64,
+    low_energy_pct: f64,
 }
 
 impl ComparedRun {
@@ -57,7 +61,7 @@ impl ComparedRun {
     /// If it is neither, or the run has no results yet.
     pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         if path.is_file() {
-            let mut recording = open(path)?;
+            let mut recording = open_recording(path)?;
             let summary = recording.summary().map(serde_json::from_str).transpose();
             return Ok(Self {
                 path: path.to_owned(),
@@ -133,7 +137,8 @@ impl ComparedRun {
     }
 
     /// Half the width of the 95 % interval of a metric, from the means of ten parts of the measured TTIs; `None` for
-    /// recordings, short runs and metrics without a column in `windows.csv`.
+    /// recordings, short runs and metrics without an entry here. The entries repeat the definitions in
+    /// `common/src/score/metrics.rs` for the columns of `windows.csv`.
     pub(super) fn half_width(&self, metric: &str) -> Option<f64> {
         let alpha = self.summary["start_probability"].as_f64().unwrap_or(f64::NAN);
         let ratio: fn(&Window, f64) -> (f64, f64) = match metric {
@@ -143,9 +148,9 @@ impl ComparedRun {
             "detection_delay_ttis" => |w, _| (w.delay_ttis, w.events - w.misdetected),
             "wake_ups_per_event" => |w, _| (w.wake_ups, w.events),
             "wrong_activations_per_event" => |w, _| (w.wrong_activations, w.events),
-            "energy_per_device_tti" => |w, _| (w.energy * w.ttis, w.ttis),
-            "mean_battery" => |w, _| (w.battery * w.ttis, w.ttis),
-            "low_energy_pct" => |w, _| (w.low * w.ttis, w.ttis),
+            "energy_per_device_tti" => |w, _| (w.energy_per_device_tti * w.ttis, w.ttis),
+            "mean_battery" => |w, _| (w.mean_battery * w.ttis, w.ttis),
+            "low_energy_pct" => |w, _| (w.low_energy_pct * w.ttis, w.ttis),
             _ => return None,
         };
         if self.windows.len() < PARTS {
@@ -160,16 +165,16 @@ impl ComparedRun {
         ratio_half_width(&parts).filter(|half_width| half_width.is_finite())
     }
 
-    /// Compares this run, run 1, with `other`, run `number`.
+    /// Compares this run, run 1, with `other`, run `other_number`.
     ///
     /// # Errors
     /// If a table or recording cannot be read.
-    pub(super) fn compare(&self, other: &Self, number: usize) -> anyhow::Result<Difference> {
+    pub(super) fn compare(&self, other: &Self, other_number: usize) -> anyhow::Result<Difference> {
         let has_equal_digest = self.digest().is_some() && self.digest() == other.digest();
         match (&self.source, &other.source) {
             (Source::Recording(own_path), Source::Recording(other_path)) => {
-                let mut recordings = (open(own_path)?, open(other_path)?);
-                let difference = messages::compare(&mut recordings.0, &mut recordings.1, number);
+                let mut recordings = (open_recording(own_path)?, open_recording(other_path)?);
+                let difference = messages::compare(&mut recordings.0, &mut recordings.1, other_number);
                 let torn = difference.torn.map(|(side, error)| {
                     let path = if side == RunSide::This { own_path } else { other_path };
                     format!(
@@ -191,13 +196,14 @@ impl ComparedRun {
                 torn: None,
             }),
             (Source::Folder(own_reader), Source::Folder(other_reader)) => {
-                let tables = (own_reader.table(EVENTS_FILE)?, other_reader.table(EVENTS_FILE)?);
-                let (Some(own_events), Some(other_events)) = tables else {
-                    bail!("{}, {}: no {EVENTS_FILE}; repeat the run", self.name(), other.name());
+                let events_of = |reader: &RunReader| {
+                    let missing = || format!("{}: no {EVENTS_FILE}; repeat the run", reader.path().display());
+                    reader.table(EVENTS_FILE)?.with_context(missing)
                 };
+                let (own_events, other_events) = (events_of(own_reader)?, events_of(other_reader)?);
                 Ok(Difference {
                     is_equal: false,
-                    text: first_event_difference(&own_events, &other_events, number)?,
+                    text: first_event_difference(&own_events, &other_events, other_number)?,
                     torn: None,
                 })
             }
@@ -215,9 +221,9 @@ impl ComparedRun {
 pub(super) struct Difference {
     /// Whether the runs are identical: by their messages if both are recordings, else by their digests.
     pub(super) is_equal: bool,
-    /// Description of the first difference.
+    /// Description of the first difference, or of the equality.
     pub(super) text: String,
-    /// The error of a torn recording.
+    /// The error of a torn recording, with its path; the command prints the rest, then fails with it.
     pub(super) torn: Option<String>,
 }
 
@@ -253,24 +259,29 @@ fn read_windows(reader: &RunReader) -> anyhow::Result<Vec<Window>> {
             information: row.number("information")?,
             wake_ups: row.number("wake_ups")?,
             wrong_activations: row.number("wrong_activations")?,
-            energy: row.number("energy_per_device_tti")?,
-            battery: row.number("mean_battery")?,
-            low: row.number("low_energy_pct")?,
+            energy_per_device_tti: row.number("energy_per_device_tti")?,
+            mean_battery: row.number("mean_battery")?,
+            low_energy_pct: row.number("low_energy_pct")?,
         });
     }
     Ok(windows)
 }
 
-/// Describes the first row in which the tables of events of run 1 and run `number` differ.
-fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> anyhow::Result<String> {
-    const RECORD: &str = "folders show events only; record both runs with --record to compare all messages";
+/// Describes the first row in which the tables of events of run 1, `this`, and run `other_number` differ.
+fn first_event_difference(this: &RowTable, other: &RowTable, other_number: usize) -> anyhow::Result<String> {
+    const RECORDING_HINT: &str = "folders show events only; record both runs with --record to compare all messages";
     let (mut own_rows, mut other_rows) = (this.rows(), other.rows());
     loop {
         let (row, counterpart) = match (own_rows.next(), other_rows.next()) {
             (Some(row), Some(counterpart)) => (row, counterpart),
-            (Some(row), None) => return Ok(format!("{} is only in run 1; {RECORD}", event_label(&row)?)),
-            (None, Some(row)) => return Ok(format!("{} is only in run {number}; {RECORD}", event_label(&row)?)),
-            (None, None) => return Ok(format!("different digests, but equal events; {RECORD}")),
+            (Some(row), None) => return Ok(format!("{} is only in run 1; {RECORDING_HINT}", event_label(&row)?)),
+            (None, Some(row)) => {
+                return Ok(format!(
+                    "{} is only in run {other_number}; {RECORDING_HINT}",
+                    event_label(&row)?
+                ));
+            }
+            (None, None) => return Ok(format!("different digests, but equal events; {RECORDING_HINT}")),
         };
         // The warm-up is a share of the run, so the same event can be counted in one run only.
         let columns = this.column_names().filter(|column| *column != "counted");
@@ -279,7 +290,7 @@ fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> a
             let shown = |value: &str| if value.is_empty() { "none" } else { value }.to_owned();
             (value != other_value).then(|| {
                 format!(
-                    "{column} {} in run 1, {} in run {number}",
+                    "{column} {} in run 1, {} in run {other_number}",
                     shown(value),
                     shown(other_value)
                 )
@@ -288,7 +299,7 @@ fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> a
         let differing: Vec<String> = differing.take(MAX_NAMED_COLUMNS).collect();
         if !differing.is_empty() {
             return Ok(format!(
-                "first difference in {}: {}; {RECORD}",
+                "first difference in {}: {}; {RECORDING_HINT}",
                 event_label(&row)?,
                 differing.join("; ")
             ));

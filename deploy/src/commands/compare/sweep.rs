@@ -1,5 +1,5 @@
 //! Differences between the policies of sweeps, over the same seeds, and between sweeps (see `tables`).
-//! `study/src/figures/paired.rs` computes them.
+//! `study/src/figures/paired.rs` computes them. Programs of users read the keys of the JSON.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,7 +12,7 @@ use reveille_study::figures::paired::PairedDifference;
 use reveille_study::figures::results::{Results, RunCondition};
 use serde_json::{Value, json};
 
-use super::rows::{Row, format_blocks};
+use super::rows::{DifferenceRow, format_blocks};
 use super::tables::{self, TableDifference};
 use crate::cli::CompareArgs;
 use crate::commands::figure_files::read_named_tables;
@@ -21,7 +21,7 @@ use crate::exit::{ExitReason, InvalidUsage};
 use crate::run_folder::SCENARIO_FILE;
 
 /// Metrics that are compared by default; the help of `--metric` repeats them.
-const METRICS: [&str; 5] = [
+const DEFAULT_METRICS: [&str; 5] = [
     "info_p1",
     "misdetection_pct",
     "detection_delay_ttis",
@@ -29,8 +29,8 @@ const METRICS: [&str; 5] = [
     "info_per_energy",
 ];
 
-/// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording. `lab/src/sweep/`
-/// writes the files that identify a sweep.
+/// Whether `path` is the folder of a sweep or a result table, and not a run folder or a recording.
+/// `lab/src/sweep/folder.rs` names the files that identify a sweep; the names are repeated here.
 pub(super) fn is_sweep(path: &Path) -> bool {
     let is_table = |ending: &std::ffi::OsStr| ending == "parquet" || ending == "csv";
     if path.is_dir() {
@@ -52,17 +52,19 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let reference = reference_policy(args, &results)?;
     let metrics: Vec<&str> = match (args.metric.as_slice(), args.all_metrics) {
         ([], true) => Metrics::ALL.iter().map(|metric| metric.name).collect(),
-        ([], false) => METRICS.to_vec(),
+        ([], false) => DEFAULT_METRICS.to_vec(),
         (given, _) => given.iter().map(String::as_str).collect(),
     };
     let mut conditions = Vec::new();
     for condition in &results.conditions {
-        let rows = metrics.iter().flat_map(|metric| rows(condition, reference, metric));
+        let rows = metrics
+            .iter()
+            .flat_map(|metric| compare_with_reference(condition, reference, metric));
         conditions.push((condition, rows.collect::<Vec<_>>()));
     }
     conditions.retain(|(_, rows)| args.json || !rows.is_empty());
-    let separate = tables::read_separately(&tables)?;
-    let table_differences = tables::compare(&separate, &metrics);
+    let separate_results = tables::read_separately(&tables)?;
+    let table_differences = tables::compare(&separate_results, &metrics);
     if conditions.iter().all(|(_, rows)| rows.is_empty()) && table_differences.is_empty() {
         let other_tables = if tables.len() > 1 {
             ", and no policy has runs with the same N and seeds but other settings in another table"
@@ -88,30 +90,37 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
 /// Returns the policy that the others are compared with, by its name in figures.
 fn reference_policy<'r>(args: &'r CompareArgs, results: &'r Results) -> anyhow::Result<&'r str> {
     let mut policies: Vec<&str> = results.conditions.iter().flat_map(RunCondition::policies).collect();
-    let mut seen = std::collections::BTreeSet::new();
-    policies.retain(|policy| seen.insert(*policy));
-    let wanted = args.against.as_deref().or(results.tables[0].first_policy.as_deref());
-    match (&args.against, policies.iter().find(|policy| Some(**policy) == wanted)) {
+    let mut distinct = std::collections::BTreeSet::new();
+    policies.retain(|policy| distinct.insert(*policy));
+    let reference = args.against.as_deref().or(results.tables[0].first_series.as_deref());
+    match (
+        &args.against,
+        policies.iter().find(|policy| Some(**policy) == reference),
+    ) {
         (_, Some(found)) => Ok(found),
         (Some(unknown), None) => bail!(
             "--against {unknown}: the sweep has no runs of this policy; use one of {}",
             policies.join(", ")
         ),
-        // Its name can include a ranking that only another table has.
+        // The name of the first table's policy can include a ranking, if only another table has a second ranking.
         (None, None) => Ok(policies[0]),
     }
 }
 
-/// Compares the policies of a condition with `reference`, by N.
-fn rows<'r>(condition: &'r RunCondition, reference: &'r str, metric: &'r str) -> Vec<Row<'r>> {
+/// Compares the other policies of a condition with the policy `reference`, by N.
+fn compare_with_reference<'r>(
+    condition: &'r RunCondition,
+    reference: &'r str,
+    metric: &'r str,
+) -> Vec<DifferenceRow<'r>> {
     let others = condition.policies().into_iter().filter(|policy| *policy != reference);
     let row = |policy, n| {
-        let found = PairedDifference::new((condition, policy), (condition, reference), n, metric)?;
-        Some(Row {
+        let comparison = PairedDifference::new((condition, policy), (condition, reference), n, metric)?;
+        Some(DifferenceRow {
             metric,
             policy,
             n,
-            found,
+            comparison,
         })
     };
     others
@@ -124,30 +133,19 @@ fn rows<'r>(condition: &'r RunCondition, reference: &'r str, metric: &'r str) ->
         .collect()
 }
 
-impl Row<'_> {
-    pub(super) fn to_json(&self) -> Value {
-        let found = self.found;
-        json!({
-            "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": found.seeds, "mean": found.mean,
-            "against_mean": found.reference_mean, "difference": found.difference, "half_width": found.half_width,
-            "paired": found.is_paired,
-        })
-    }
-}
-
-fn json_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) -> Value {
-    let condition = |(condition, rows): &(&RunCondition, Vec<Row<'_>>)| {
+fn json_report(reference: &str, conditions: &[(&RunCondition, Vec<DifferenceRow<'_>>)]) -> Value {
+    let condition_json = |(condition, rows): &(&RunCondition, Vec<DifferenceRow<'_>>)| {
         json!({
             "condition": condition.label(), "ttis": condition.ttis,
-            "differences": rows.iter().map(Row::to_json).collect::<Vec<_>>(),
+            "differences": rows.iter().map(DifferenceRow::to_json).collect::<Vec<_>>(),
         })
     };
-    json!({ "against": reference, "conditions": conditions.iter().map(condition).collect::<Vec<_>>() })
+    json!({ "against": reference, "conditions": conditions.iter().map(condition_json).collect::<Vec<_>>() })
 }
 
 fn text_report(
     reference: &str,
-    conditions: &[(&RunCondition, Vec<Row<'_>>)],
+    conditions: &[(&RunCondition, Vec<DifferenceRow<'_>>)],
     table_differences: &[TableDifference<'_>],
 ) -> String {
     let mut text = String::new();
@@ -167,15 +165,16 @@ fn text_report(
         text += &tables::format_difference(difference);
     }
     text.push('\n');
-    let is_unpaired = |row: &Row<'_>| !row.found.is_paired && !row.found.half_width.is_nan();
-    let is_single = |row: &Row<'_>| row.found.half_width.is_nan();
-    let of_tables = table_differences.iter().flat_map(|difference| &difference.rows);
-    let mut rows = conditions.iter().flat_map(|(_, rows)| rows).chain(of_tables);
+    // The legend of the marks that `format_blocks` writes.
+    let has_one_seed = |row: &DifferenceRow<'_>| row.comparison.half_width.is_nan();
+    let is_unpaired = |row: &DifferenceRow<'_>| !row.comparison.is_paired && !has_one_seed(row);
+    let table_rows = table_differences.iter().flat_map(|difference| &difference.rows);
+    let mut rows = conditions.iter().flat_map(|(_, rows)| rows).chain(table_rows);
     text += "difference: mean over the seeds; interval: Student's t over the differences by\nseed\n";
     if rows.clone().any(is_unpaired) {
         text += "~: too few cases for an interval of differences; the intervals of both means\n   are added\n";
     }
-    if rows.any(is_single) {
+    if rows.any(has_one_seed) {
         text += "–: one seed has no interval; run the sweep with more --seeds\n";
     }
     text

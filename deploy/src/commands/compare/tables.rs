@@ -1,4 +1,5 @@
 //! Differences between sweeps: each policy of a table is compared with itself in the first table, over the same seeds.
+//! Pairs of values are in the order first table, other table. Programs of users read the keys of the JSON.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +11,7 @@ use reveille_study::figures::results::{Results, RunCondition};
 use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
-use super::rows::{Row, format_blocks};
+use super::rows::{DifferenceRow, format_blocks};
 use crate::display::{WIDTH, wrap_text};
 
 /// The difference of a condition from its counterpart in the first table.
@@ -18,12 +19,12 @@ pub(super) struct TableDifference<'r> {
     table: &'r str,
     reference_table: &'r str,
     condition: &'r RunCondition,
-    reference: &'r RunCondition,
+    reference_condition: &'r RunCondition,
     /// Differing fields with the values of the reference and of the condition; `None` if a table does not identify its
     /// fields.
     fields: Option<BTreeMap<String, [String; 2]>>,
     /// Differences of the policies, by metric.
-    pub rows: Vec<Row<'r>>,
+    pub rows: Vec<DifferenceRow<'r>>,
 }
 
 /// Returns the results of each table. Conditions of different tables are not merged.
@@ -48,7 +49,7 @@ pub(super) fn compare<'r>(tables: &'r [Results], metrics: &[&'r str]) -> Vec<Tab
     });
     pairs
         .filter_map(|(table, condition, reference)| {
-            let rows: Vec<Row<'_>> = metrics
+            let rows: Vec<DifferenceRow<'_>> = metrics
                 .iter()
                 .flat_map(|metric| compare_policies(condition, reference, metric))
                 .collect();
@@ -58,16 +59,16 @@ pub(super) fn compare<'r>(tables: &'r [Results], metrics: &[&'r str]) -> Vec<Tab
                 .map(|row| (row.policy, row.n))
                 .collect::<BTreeSet<_>>()
                 .into_iter()
-                .map(|cell| differing_fields(condition, reference, cell))
+                .map(|policy_and_n| differing_fields(condition, reference, policy_and_n))
                 .collect();
-            let fields: Option<BTreeMap<_, _>> = fields.map(|of_cells| of_cells.into_iter().flatten().collect());
+            let fields: Option<BTreeMap<_, _>> = fields.map(|by_policy| by_policy.into_iter().flatten().collect());
             let has_equal_settings = fields.as_ref().is_some_and(BTreeMap::is_empty);
             let is_compared = !rows.is_empty() && (!has_equal_settings || has_other_actions(condition, reference));
             is_compared.then(|| TableDifference {
                 table: &table.tables[0].name,
                 reference_table: &first.tables[0].name,
                 condition,
-                reference,
+                reference_condition: reference,
                 fields,
                 rows,
             })
@@ -75,25 +76,26 @@ pub(super) fn compare<'r>(tables: &'r [Results], metrics: &[&'r str]) -> Vec<Tab
         .collect()
 }
 
-/// Returns the condition of the first table that `condition` is compared with: the one with the same preset, length and
-/// swept fields, else the only one with the same swept fields, else the table's only condition.
+/// Returns the condition of the first table, one of `references`, that `condition` is compared with: the one with the
+/// same preset, length and swept fields; else the one with the same swept fields, if it is the only one in both tables;
+/// else the first table's only condition. `table_conditions` has all conditions of the table of `condition`.
 fn counterpart<'r>(
     condition: &RunCondition,
-    own: &[RunCondition],
+    table_conditions: &[RunCondition],
     references: &'r [RunCondition],
 ) -> Option<&'r RunCondition> {
-    let is_equal = |other: &RunCondition| {
+    let has_same_key = |other: &RunCondition| {
         (&other.preset, other.ttis, &other.swept_fields) == (&condition.preset, condition.ttis, &condition.swept_fields)
     };
-    if let Some(equal) = references.iter().find(|other| is_equal(other)) {
-        return Some(equal);
+    if let Some(same) = references.iter().find(|other| has_same_key(other)) {
+        return Some(same);
     }
-    let is_alike = |other: &&RunCondition| other.swept_fields == condition.swept_fields;
-    let mut alike = references.iter().filter(is_alike);
+    let has_same_fields = |other: &&RunCondition| other.swept_fields == condition.swept_fields;
+    let mut candidates = references.iter().filter(has_same_fields);
     match (
-        alike.next(),
-        alike.next(),
-        own.iter().filter(is_alike).count(),
+        candidates.next(),
+        candidates.next(),
+        table_conditions.iter().filter(has_same_fields).count(),
         references,
     ) {
         (Some(reference), None, 1, _) | (_, _, _, [reference]) => Some(reference),
@@ -102,16 +104,20 @@ fn counterpart<'r>(
 }
 
 /// Compares the policies that both conditions have, by N.
-fn compare_policies<'r>(condition: &'r RunCondition, reference: &'r RunCondition, metric: &'r str) -> Vec<Row<'r>> {
+fn compare_policies<'r>(
+    condition: &'r RunCondition,
+    reference: &'r RunCondition,
+    metric: &'r str,
+) -> Vec<DifferenceRow<'r>> {
     let mut rows = Vec::new();
     for policy in condition.policies() {
         for n in condition.device_counts(policy) {
-            let found = PairedDifference::new((condition, policy), (reference, policy), n, metric);
-            rows.extend(found.map(|found| Row {
+            let comparison = PairedDifference::new((condition, policy), (reference, policy), n, metric);
+            rows.extend(comparison.map(|comparison| DifferenceRow {
                 metric,
                 policy,
                 n,
-                found,
+                comparison,
             }));
         }
     }
@@ -129,21 +135,21 @@ fn differing_fields(
     reference: &RunCondition,
     (policy, n): (&str, u32),
 ) -> Option<BTreeMap<String, [String; 2]>> {
-    let hashes: BTreeMap<u64, _> = reference
+    let reference_hashes: BTreeMap<u64, _> = reference
         .runs(policy, n)
         .map(|row| (row.seed, &row.scenario_hash))
         .collect();
-    let mut common = condition
+    let mut hash_pairs = condition
         .runs(policy, n)
-        .filter_map(|row| Some((&row.scenario_hash, *hashes.get(&row.seed)?)));
-    if common.all(|(own, theirs)| own == theirs) {
+        .filter_map(|row| Some((&row.scenario_hash, *reference_hashes.get(&row.seed)?)));
+    if hash_pairs.all(|(hash, reference_hash)| hash == reference_hash) {
         return Some(BTreeMap::new());
     }
-    let toml = |condition: &RunCondition| condition.scenario_toml(policy, n, &Disk);
-    let differences = compare_scenarios(&toml(reference)?, &toml(condition)?).ok()?;
+    let scenario_toml = |condition: &RunCondition| condition.scenario_toml(policy, n, &Disk);
+    let differences = compare_scenarios(&scenario_toml(reference)?, &scenario_toml(condition)?).ok()?;
     // The first runs of both conditions can have different seeds, which are not a setting.
     let settings = differences.into_iter().filter(|(field, ..)| field != "seed");
-    Some(settings.map(|(field, theirs, own)| (field, [theirs, own])).collect())
+    Some(settings.map(|(field, first, other)| (field, [first, other])).collect())
 }
 
 /// Formats a difference: the tables, their differing settings and the metrics.
@@ -156,14 +162,14 @@ pub(super) fn format_difference(difference: &TableDifference<'_>) -> String {
     } = difference;
     let heading = format!("differences of {table} from {reference_table} over the same seeds, with 95 % intervals");
     let mut settings = Vec::new();
-    if has_other_actions(condition, difference.reference) {
+    if has_other_actions(condition, difference.reference_condition) {
         settings.push("actions".to_owned());
     }
     match &difference.fields {
         Some(fields) => settings.extend(
             fields
                 .iter()
-                .map(|(field, [theirs, own])| format!("{field} = {theirs} | {own}")),
+                .map(|(field, [first, other])| format!("{field} = {first} | {other}")),
         ),
         None => settings.push("fields that the tables do not identify".to_owned()),
     }
@@ -174,18 +180,18 @@ pub(super) fn format_difference(difference: &TableDifference<'_>) -> String {
         String::new(),
         label,
     ];
-    let head: String = lines.iter().map(|line| wrap_text(line, WIDTH) + "\n").collect();
-    head + &format_blocks("reference", &difference.rows)
+    let introduction: String = lines.iter().map(|line| wrap_text(line, WIDTH) + "\n").collect();
+    introduction + &format_blocks("reference", &difference.rows)
 }
 
 pub(super) fn json_report(differences: &[TableDifference<'_>]) -> Value {
     let report = |difference: &TableDifference<'_>| {
         json!({
             "table": difference.table, "against_table": difference.reference_table,
-            "condition": difference.condition.label(), "against_condition": difference.reference.label(),
+            "condition": difference.condition.label(), "against_condition": difference.reference_condition.label(),
             "ttis": difference.condition.ttis, "fields": difference.fields,
-            "actions_differ": has_other_actions(difference.condition, difference.reference),
-            "differences": difference.rows.iter().map(Row::to_json).collect::<Vec<_>>(),
+            "actions_differ": has_other_actions(difference.condition, difference.reference_condition),
+            "differences": difference.rows.iter().map(DifferenceRow::to_json).collect::<Vec<_>>(),
         })
     };
     differences.iter().map(report).collect()

@@ -9,7 +9,8 @@
 //! ```
 //! The last TTI of a grant is replayed once the next grant begins or the run ends. Only then does the input log have
 //! the devices removed in that TTI and the decisions of a policy process. Actions in the TTI from which on frames are
-//! received come from the log too, since their frames may be missed.
+//! received come from the log too, since their frames may be missed. Replayed frames lack the emulation plane and the
+//! states of `--record-states`. `live` connects to the run and calls this module.
 
 use anyhow::{Context, bail};
 use reveille_bs::observer::frames::FrameObserver;
@@ -32,15 +33,15 @@ pub(crate) struct CatchUp {
     log: InputLogParser,
     /// Bytes read of the log.
     bytes_read: u64,
-    /// The replay, once it is needed.
-    run: Option<Run>,
+    /// The replay, from its first use to the end of the catch-up.
+    replay: Option<Run>,
     /// The next TTI to pass on.
     next_tti: Tti,
     /// Returns whether to stop the replay.
     should_stop: Box<dyn Fn() -> bool + Send>,
     /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
     is_in_open_grant: bool,
-    /// Whether received frames are passed on.
+    /// Whether the catch-up is complete, so that received frames are passed on.
     is_over: bool,
 }
 
@@ -52,7 +53,7 @@ impl CatchUp {
             scenario,
             log: InputLogParser::default(),
             bytes_read: 0,
-            run: None,
+            replay: None,
             next_tti: Tti::ZERO,
             should_stop: Box::new(should_stop),
             is_in_open_grant: false,
@@ -70,7 +71,8 @@ impl CatchUp {
         self.bytes_read
     }
 
-    /// Adds the next part of the input log, up to its last whole line. Returns false if the log has not grown.
+    /// Adds the next part of the input log, which starts at [`Self::bytes_read`], up to its last whole line. Returns
+    /// false without a whole line.
     ///
     /// # Errors
     /// If the part does not belong to a log of this run.
@@ -79,13 +81,13 @@ impl CatchUp {
         // A part can end within a line, whose rest comes with the next part.
         let whole_bytes = part.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         let text = std::str::from_utf8(&part[..whole_bytes]).context(LOG_CONTEXT)?;
-        let length = self.log.read(text, &self.scenario).context(LOG_CONTEXT)?;
-        self.bytes_read += length as u64;
+        let consumed_bytes = self.log.read(text, &self.scenario).context(LOG_CONTEXT)?;
+        self.bytes_read += consumed_bytes as u64;
         // A started replay lacks only the new inputs; `replay_until` passes on all others at its start.
-        if let Some(run) = &mut self.run {
-            run.schedule_inputs(&self.log.inputs().after(known_counts));
+        if let Some(replay) = &mut self.replay {
+            replay.schedule_inputs(&self.log.inputs().after(known_counts));
         }
-        Ok(length > 0)
+        Ok(consumed_bytes > 0)
     }
 
     /// The next TTI to pass on, until the catch-up is complete.
@@ -116,8 +118,8 @@ impl CatchUp {
         if end <= self.next_tti {
             return Ok(true);
         }
-        let run = match &mut self.run {
-            Some(run) => run,
+        let replay = match &mut self.replay {
+            Some(replay) => replay,
             replay_slot => {
                 // One TTI at a time: a grant with lookahead could go beyond `end`.
                 let options = RunOptions {
@@ -127,20 +129,21 @@ impl CatchUp {
                 let scenario = self.scenario.clone();
                 let prepare_run = move || Run::new(&prepare(&scenario), options);
                 // On another thread, since the preparation can contain a search that takes hours.
-                let Some(mut run) = run_on_thread(prepare_run, &self.should_stop)? else {
+                let Some(mut replay) = run_on_thread(prepare_run, &self.should_stop)? else {
                     return Ok(false);
                 };
-                run.schedule_inputs(self.log.inputs());
-                replay_slot.insert(run)
+                replay.schedule_inputs(self.log.inputs());
+                replay_slot.insert(replay)
             }
         };
+        // An interval of 0 TTIs: no frames of states.
         let mut frame_observer = FrameObserver::new(0, &mut on_frame);
-        while run.cycle().next_tti() < end {
+        while replay.cycle().next_tti() < end {
             if (self.should_stop)() {
                 return Ok(false);
             }
-            run.run_grant(&mut frame_observer);
-            if let Some(tti) = run.missing_decision() {
+            replay.run_grant(&mut frame_observer);
+            if let Some(tti) = replay.missing_decision() {
                 bail!("the input log of the run has no decision for TTI {tti}");
             }
         }
@@ -149,7 +152,7 @@ impl CatchUp {
     }
 
     /// Takes a received frame and passes on everything before it first. Before a plan, world or clock frame, the input
-    /// log must have been read up to it, as `Live::follow` does.
+    /// log must have been read up to it: `Live::follow` repeats these kinds, so change both.
     ///
     /// # Errors
     /// See [`Self::replay_until`].
@@ -175,7 +178,7 @@ impl CatchUp {
         };
         if self.replay_until(received_from, &mut on_frame)? {
             // The replay is not needed any more, and can be large.
-            (self.is_over, self.run) = (true, None);
+            (self.is_over, self.replay) = (true, None);
             let actions = self.log.inputs().actions.iter();
             let due_actions = actions.filter(|action| action.tti == received_from);
             due_actions.for_each(|action| on_frame(Frame::new(action.tti, (), action)));
@@ -198,11 +201,12 @@ mod tests {
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
     use reveille_common::units::Energy;
-    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line};
+    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, input_line};
     use reveille_lab::stepped_run::SteppedRun;
 
     use super::*;
 
+    /// Returns a short scenario, in which the base station synchronises often.
     fn scenario_of_policy(policy: &str) -> Scenario {
         let set = [
             "devices=20",
@@ -256,8 +260,8 @@ mod tests {
             Self { frames, inputs }
         }
 
-        /// Creates a run with random decisions and a plan request every `hold` TTIs.
-        fn with_decisions(scenario: &Scenario, hold: u64) -> Self {
+        /// Creates a run with random decisions and a plan request every `plan_ttis` TTIs.
+        fn with_decisions(scenario: &Scenario, plan_ttis: u64) -> Self {
             let frames = RefCell::new(Vec::new());
             let mut run = SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
             let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
@@ -270,7 +274,7 @@ mod tests {
                             n as usize,
                             &[random_device(), random_device(), random_device(), random_device()],
                         ),
-                        next: tti + hold,
+                        next: tti + plan_ttis,
                     }),
                     DecisionStage::Wake if random_device().0 % 2 == 0 => Decision::Wake(vec![random_device()]),
                     DecisionStage::Wake => Decision::Wake(Vec::new()),
@@ -305,7 +309,7 @@ mod tests {
             let (expected, mut line_ends) = (without_world(&self.frames), vec![first_line(scenario).len()]);
             let mut log = first_line(scenario);
             for (_, input) in &self.inputs {
-                log += &line(input);
+                log += &input_line(input);
                 line_ends.push(log.len());
             }
             // The part of the log known so far, with some bytes of a line that is being written.
@@ -413,8 +417,8 @@ mod tests {
     #[test]
     fn a_late_observer_receives_external_decisions() {
         let scenario = scenario_of_policy("external");
-        for hold in [1, 30, 500] {
-            ReceivedRun::with_decisions(&scenario, hold).assert_complete_from_any_frame(&scenario);
+        for plan_ttis in [1, 30, 500] {
+            ReceivedRun::with_decisions(&scenario, plan_ttis).assert_complete_from_any_frame(&scenario);
         }
     }
 }

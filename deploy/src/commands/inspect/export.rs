@@ -1,4 +1,5 @@
-//! `reveille inspect export`: writes a recording in a format of other tools. `view/src/export/` defines the formats.
+//! `reveille inspect export`: writes a recording in a format of other tools. `view/src/export/` defines the formats,
+//! `cli::ExportFormatArg` their names and file extensions.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -15,7 +16,7 @@ use reveille_view::export::table::{COLUMNS, MessageRow, MessageTableWriter};
 use reveille_view::filter::Filter;
 use reveille_view::recording::RecordingError;
 
-use super::source::{RecordingFile, check_tti_range, open};
+use super::source::{RecordingFile, check_tti_range, open_recording};
 use crate::cli::{ExportArgs, ExportFormatArg};
 use crate::display::{count_noun, note, print_stdout};
 use crate::exit::ExitReason;
@@ -25,49 +26,49 @@ use crate::paths::is_same_path;
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
     if let Some(path) = &args.dissector {
-        check_not_taken(path, args.force)?;
+        check_may_write(path, args.force)?;
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
         print_stdout(&format!("{}\n", path.display()))?;
     }
-    let (Some(from), Some(format)) = (&args.file, args.to) else {
+    let (Some(recording_path), Some(format)) = (&args.file, args.to) else {
         return Ok(ExitReason::Done.into());
     };
-    let path = args
+    let out_path = args
         .out
         .clone()
-        .unwrap_or_else(|| from.with_extension(format.extension()));
-    let mut recording = open(from)?;
-    check_not_taken(&path, args.force)?;
-    // With --force, `check_not_taken` accepts every file, the recording itself included.
+        .unwrap_or_else(|| recording_path.with_extension(format.extension()));
+    let mut recording = open_recording(recording_path)?;
+    check_may_write(&out_path, args.force)?;
+    // With --force, `check_may_write` accepts every file, the recording itself included.
     anyhow::ensure!(
-        !is_same_path(from, &path),
+        !is_same_path(recording_path, &out_path),
         "--out {}: is the recording itself; name another file",
-        path.display()
+        out_path.display()
     );
     // Written to a part file: half an export looks whole, and the old file must stay until the new one is complete.
-    let write_error = || format!("cannot write {}", path.display());
-    let part = open_part_file(&path, |part| File::create(part)).with_context(write_error)?;
+    let write_error = || format!("cannot write {}", out_path.display());
+    let part = open_part_file(&out_path, |part| File::create(part)).with_context(write_error)?;
     let out_file = BufWriter::new(part.as_file());
     let (frame_count, torn) =
-        write_format(args, format, &mut recording, out_file).with_context(|| from.display().to_string())?;
-    part.persist(&path)
+        write_format(args, format, &mut recording, out_file).with_context(|| recording_path.display().to_string())?;
+    part.persist(&out_path)
         .map_err(|refused| refused.error)
         .with_context(write_error)?;
     note!("{}", count_noun(frame_count, "message"));
-    print_stdout(&format!("{}\n", path.display()))?;
+    print_stdout(&format!("{}\n", out_path.display()))?;
     match torn {
         None => Ok(ExitReason::Done.into()),
         Some(error) => {
             bail!(
                 "{}: {error}; the messages before this point were written",
-                from.display()
+                recording_path.display()
             );
         }
     }
 }
 
 /// Checks that `path` is free, or may be replaced.
-fn check_not_taken(path: &Path, force: bool) -> anyhow::Result<()> {
+fn check_may_write(path: &Path, force: bool) -> anyhow::Result<()> {
     if path.exists() && !force {
         bail!("{}: file exists; use --force to replace it", path.display());
     }
@@ -77,7 +78,7 @@ fn check_not_taken(path: &Path, force: bool) -> anyhow::Result<()> {
 /// The number of written messages, and the error at which the recording is torn, if it is.
 type ExportResult = (usize, Option<RecordingError>);
 
-/// Writes the messages in this `format`, up to a tear.
+/// Writes the messages in this `format`, up to a tear. Each branch must flush `out`, whose drop ignores errors.
 fn write_format(
     args: &ExportArgs,
     format: ExportFormatArg,
@@ -122,7 +123,7 @@ fn write_format(
     }
 }
 
-/// Passes on the requested frames, up to a tear.
+/// Passes the frames of the requested TTIs to `on_frame`, up to a tear.
 fn for_each_frame(
     args: &ExportArgs,
     recording: &mut RecordingFile,

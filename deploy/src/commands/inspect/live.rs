@@ -1,6 +1,6 @@
 //! A live run, observed through the tap of its bus, for `inspect` and the dashboard. The run never waits for this
 //! process: frames that it cannot take are dropped and counted. Tests wait for the note `connected to run`, which comes
-//! only after the tap is declared, so that no later frame is missed.
+//! only after the tap is declared, so that no later frame is missed, and after the handlers of signals are installed.
 
 use std::io;
 use std::sync::Arc;
@@ -35,18 +35,21 @@ const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(300);
 pub(crate) struct Live {
     bus: Bus,
     /// The run's name.
-    pub run: String,
+    pub run_name: String,
     /// Number of devices N.
     pub devices: u32,
     /// The clock's status at the connection.
     status: ClockStatus,
+    /// The frames from the tap.
     batches: Receiver<FrameBatch>,
+    /// Notified once the base station has left the bus.
     run_ended: Arc<Notify>,
-    /// Whether the run has ended.
-    is_over: bool,
+    /// Whether `run_ended` has been received. The last frames can follow.
+    has_ended: bool,
     signals: Signals,
+    /// The thread of [`Self::force_exit_after_signal`].
     forced_exit: Option<ForcedExit>,
-    /// The TTI before which [`Self::follow`] has passed on everything.
+    /// The TTI before which [`Self::follow`] has passed on everything; set when it returns without an error.
     reached: Tti,
     /// The number of the next frame, once one has arrived.
     next_frame_number: Option<u64>,
@@ -59,7 +62,7 @@ impl Live {
     /// Connects to the run that `target` selects.
     ///
     /// # Errors
-    /// If there is no such run.
+    /// If there is no such run, the bus fails, or the handlers of signals cannot be installed.
     pub(crate) async fn connect(target: &TargetArgs) -> anyhow::Result<Self> {
         let address = run_registry::find(target)?;
         let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
@@ -75,7 +78,7 @@ impl Live {
         let Some(status) = bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await? else {
             return Err(bus.no_run_error().await.into());
         };
-        let (send, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
+        let (batch_sender, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
         let run_ended = Arc::new(Notify::new());
         let end_notifier = Arc::clone(&run_ended);
         let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
@@ -86,16 +89,16 @@ impl Live {
         })?;
         let tap = bus.observe(move |batch| {
             // The callback must not block zenoh's thread; a batch without room shows as a gap in the frame numbers.
-            let _no_room = send.try_send(batch).is_err();
+            let _no_room = batch_sender.try_send(batch).is_err();
         })?;
         Ok(Self {
-            run: bus.key_exprs().run().to_string(),
+            run_name: bus.key_exprs().run().to_string(),
             devices: status.devices,
             status,
             bus,
             batches,
             run_ended,
-            is_over: false,
+            has_ended: false,
             signals: Signals::install(SignalMode::HasNoResults)?,
             forced_exit: None,
             reached: Tti::ZERO,
@@ -138,12 +141,12 @@ impl Live {
 
     /// Whether the run has ended.
     pub(crate) const fn has_ended(&self) -> bool {
-        self.is_over
+        self.has_ended
     }
 
     /// Prints the position of the run, since a paused run may send nothing else for long.
     pub(crate) fn report_position(&self) {
-        note!("connected to run {}: {}", self.run, self.status);
+        note!("connected to run {}: {}", self.run_name, self.status);
     }
 
     /// The scenario of the run.
@@ -160,29 +163,29 @@ impl Live {
     /// Receives the next frames and the number of frames dropped before them. Returns `None` once the run has ended or
     /// a signal came.
     pub(crate) async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
-        if !self.is_over {
+        if !self.has_ended {
             tokio::select! {
                 // In this order: a signal ends the wait, and batches that have arrived come before the end of the run.
                 biased;
                 () = self.signals.wait_for_first() => return None,
                 batch = self.batches.recv() => return batch.map(|batch| self.count_gap(batch)),
-                () = self.run_ended.notified() => self.is_over = true,
+                () = self.run_ended.notified() => self.has_ended = true,
             }
         }
         // The end of the run becomes visible before its last batches arrive.
-        let last = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
-        let last = self.signals.unless_interrupted(last).await?.ok().flatten();
-        last.map(|batch| self.count_gap(batch))
+        let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
+        let last_batch = self.signals.unless_interrupted(last_batch).await?.ok().flatten();
+        last_batch.map(|batch| self.count_gap(batch))
     }
 
-    /// Checks that a followed run did not end before its last TTI.
+    /// Checks that a run did not end before its last TTI. Call it after [`Self::follow`], which counts the TTIs.
     ///
     /// # Errors
     /// If it did.
     pub(crate) fn check_ran_to_end(&self) -> anyhow::Result<()> {
         let (reached, ttis) = (self.reached, self.status.ttis);
         anyhow::ensure!(
-            !self.is_over || reached.0 >= ttis,
+            !self.has_ended || reached.0 >= ttis,
             "the run was interrupted or failed before TTI {reached} of {ttis}"
         );
         Ok(())
@@ -227,7 +230,8 @@ impl Live {
             catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
         })?;
         while wants_more && let Some((frames, _)) = self.next().await {
-            // The tap also copies the query below: frames of other kinds must not trigger the next query.
+            // The kinds before which `CatchUp::push` needs the log. No others: the tap also copies the query below,
+            // which must not trigger the next one.
             let may_trigger_replay =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
             if !catch_up.is_over() && frames.iter().any(may_trigger_replay) {
@@ -267,14 +271,15 @@ impl Live {
             let Some(part) = self.query_bs(&InputLogRequest { from }).await? else {
                 return Ok(false);
             };
-            let is_more = tokio::task::block_in_place(|| catch_up.read_input_log(&part.bytes))?;
+            let has_grown = tokio::task::block_in_place(|| catch_up.read_input_log(&part.bytes))?;
             // A part shorter than the limit ends the log. Inputs added meanwhile are read at the next grant.
-            if !is_more || (part.bytes.len() as u64) < InputLogPart::MAX_BYTES {
+            if !has_grown || (part.bytes.len() as u64) < InputLogPart::MAX_BYTES {
                 return Ok(true);
             }
         }
     }
 
+    /// Adds the frames missing before `batch` to the count. Returns the frames of `batch` and the missing number.
     fn count_gap(&mut self, batch: FrameBatch) -> (Vec<Frame>, u64) {
         // Saturating: a batch whose numbers go back must not wrap the count.
         let missing = batch

@@ -1,6 +1,6 @@
 //! `reveille inspect`: the messages of a live or recorded run, and the missed events of a run folder (`misses`). Each
 //! subcommand has one file. `source` provides the frames, `live` connects to a run, and `catch_up` replays the TTIs
-//! before the connection. The dashboard uses these three too.
+//! before the connection. The dashboard uses these three too, and other commands open recordings with `source`.
 
 mod catch_up;
 mod export;

@@ -2,7 +2,6 @@
 //! code 1 for it (`docs/watching.md`).
 
 use std::process::ExitCode;
-use std::time::Instant;
 
 use anyhow::{anyhow, bail};
 use reveille_view::recording::Recorder;
@@ -23,30 +22,31 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     }
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
-    let recording_error = |why: String| anyhow!("{}: {why}", path.display());
+    let recording_error = |cause: String| anyhow!("{}: {cause}", path.display());
     let catch_up = live.start_catch_up(&bundle).await?;
     // The file is created last, so that a failed connection leaves none.
-    let recorder = Recorder::start(path, &live.run, &bundle).map_err(recording_error)?;
+    let recorder = Recorder::start(path, &live.run_name, &bundle).map_err(recording_error)?;
     live.report_position();
     let recorder_handle = recorder.handle();
     let started = crate::runtime::now();
-    let record = |frame| {
+    // Returns false, which ends the observation, once the file cannot be written.
+    let record_frame = |frame| {
         recorder_handle.push(frame);
         recorder_handle.failure().is_none()
     };
-    let followed = live.follow(catch_up, record).await;
+    let follow_result = live.follow(catch_up, record_frame).await;
     drop(recorder_handle);
-    let (dropped_frames, ran_to_end) = (live.dropped_frames, live.check_ran_to_end());
+    let (dropped_frames, end_check) = (live.dropped_frames, live.check_ran_to_end());
     // Closed before any error is returned, so that the frames so far can be read.
-    let recorded = recorder.finish(None).map_err(recording_error)?;
-    followed?;
+    let file_stats = recorder.finish(None).map_err(recording_error)?;
+    follow_result?;
     live.close().await;
     note!(
         "recorded {} messages in {}, {:.1} MB, in {:.1} s",
-        recorded.frames,
+        file_stats.frames,
         path.display(),
-        recorded.bytes as f64 / 1e6,
-        Instant::elapsed(&started).as_secs_f64()
+        file_stats.bytes as f64 / 1e6,
+        started.elapsed().as_secs_f64()
     );
     if dropped_frames > 0 {
         bail!(
@@ -54,6 +54,6 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
             path.display()
         );
     }
-    ran_to_end?;
+    end_check?;
     Ok(ExitReason::Done.into())
 }

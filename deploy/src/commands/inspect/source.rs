@@ -1,5 +1,5 @@
 //! Sources of frames for `tail` and `stats`: a live run or a recording. Both keep the order of frames. Every command
-//! that reads a recording uses [`open`].
+//! that reads a recording uses [`open_recording`]; the dashboard also shows [`device_groups`].
 
 use std::fs::File;
 use std::io::BufReader;
@@ -23,7 +23,7 @@ use crate::input_log::INPUT_LOG_FILE;
 use crate::run_folder::SCENARIO_FILE;
 use crate::run_reader::RunReader;
 
-/// Extension of recordings.
+/// Extension of recordings. Only searches in folders need it; texts and pages repeat it in examples.
 const RECORDING_EXTENSION: &str = "mcap";
 
 /// A recording file.
@@ -33,7 +33,7 @@ pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
 ///
 /// # Errors
 /// If the file is not a recording or has another version, or the folder does not hold exactly one recording.
-pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
+pub(crate) fn open_recording(path: &Path) -> anyhow::Result<RecordingFile> {
     let path = find_recording(path)?;
     let path_text = || path.display().to_string();
     let file = File::open(&path).map_err(|error| {
@@ -65,12 +65,12 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
         return Ok(path.to_owned());
     }
     let folder = path.display();
-    let files = path
+    let file_paths = path
         .read_dir()
         .with_context(|| folder.to_string())?
         .flatten()
         .map(|entry| entry.path());
-    let mut recordings: Vec<PathBuf> = files
+    let mut recordings: Vec<PathBuf> = file_paths
         .filter(|file| {
             file.extension()
                 .is_some_and(|extension| extension == RECORDING_EXTENSION)
@@ -110,7 +110,7 @@ pub(super) fn check_tti_range(since: Option<u64>, until: Option<u64>) -> Result<
 pub(crate) enum FrameSource {
     /// A live run.
     Live(Box<Live>),
-    /// A recording, with its name.
+    /// A recording, with its path as given, for errors.
     Recorded(Box<RecordingFile>, String),
 }
 
@@ -118,10 +118,13 @@ impl FrameSource {
     /// Opens the recording `file`, or else the run that `target` selects.
     ///
     /// # Errors
-    /// If there is no such run, or the file is not a recording.
+    /// If there is no such run, the bus fails, or the file is not a recording.
     pub(crate) async fn open(file: Option<&Path>, target: &TargetArgs) -> anyhow::Result<Self> {
         if let Some(path) = file {
-            return Ok(Self::Recorded(Box::new(open(path)?), path.display().to_string()));
+            return Ok(Self::Recorded(
+                Box::new(open_recording(path)?),
+                path.display().to_string(),
+            ));
         }
         let mut live = Live::connect(target).await?;
         live.force_exit_after_signal()?;
@@ -139,7 +142,7 @@ impl FrameSource {
         }
     }
 
-    /// Moves a recording to the first frame of TTI `tti` or later.
+    /// Moves a recording to the first frame of TTI `tti` or later. A live run is not moved: callers filter its frames.
     ///
     /// # Errors
     /// If it cannot be read.
@@ -157,7 +160,8 @@ impl FrameSource {
         }
     }
 
-    /// Returns the next frames and the number of frames dropped before them; `None` after the last.
+    /// Returns the next frames and the number of frames dropped before them; `None` after the last, or after a signal
+    /// that ends the observation of a live run.
     ///
     /// # Errors
     /// If the recording is torn or damaged here.

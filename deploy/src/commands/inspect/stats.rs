@@ -1,5 +1,5 @@
 //! `reveille inspect stats`: numbers and bytes of messages. Programs of users read the keys of `--json`, so do not
-//! rename them.
+//! rename them. The text fits 80 columns (`tests/program/widths.rs`).
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -19,11 +19,11 @@ use crate::exit::ExitReason;
 /// Time between two tables with `--watch`; without it there is only the table at the end.
 const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Counts until the run or recording ends, or a signal arrives.
+/// Counts the messages of the TTIs from `--since` to `--until`, until the run or recording ends or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
     let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
-    let devices = source.bundle().await?.load()?.run.devices;
+    let device_count = source.bundle().await?.load()?.run.devices;
     if let Some(since) = args.since {
         source.seek(reveille_common::ids::Tti(since))?;
     }
@@ -45,16 +45,19 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
         }
         if args.watch && last_shown.elapsed() >= WATCH_INTERVAL {
             // Control codes belong on a screen, not in a file.
-            let clear = if std::io::stdout().is_terminal() {
+            let clear_screen = if std::io::stdout().is_terminal() {
                 "\u{1b}[2J\u{1b}[H"
             } else {
                 ""
             };
-            print_stdout(&format!("{clear}{}\n", format_stats(args, &traffic, devices)))?;
+            print_stdout(&format!(
+                "{clear_screen}{}\n",
+                format_stats(args, &traffic, device_count)
+            ))?;
             last_shown = crate::runtime::now();
         }
     };
-    print_stdout(&format!("{}\n", format_stats(args, &traffic, devices)))?;
+    print_stdout(&format!("{}\n", format_stats(args, &traffic, device_count)))?;
     if let FrameSource::Live(live) = &source
         && live.dropped_frames > 0
     {
@@ -67,20 +70,21 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     torn.map_or_else(|| Ok(ExitReason::Done.into()), Err)
 }
 
-fn format_stats(args: &StatsArgs, traffic: &TrafficStats, devices: u32) -> String {
+/// Formats the statistics of a run with `device_count` devices; `args.devices` adds a row for each device.
+fn format_stats(args: &StatsArgs, traffic: &TrafficStats, device_count: u32) -> String {
     if args.json {
-        json_stats(traffic, devices, args.devices).to_string()
+        json_stats(traffic, device_count, args.devices).to_string()
     } else {
-        text_stats(traffic, devices, args.devices)
+        text_stats(traffic, device_count, args.devices)
     }
 }
 
-fn json_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
+fn json_stats(traffic: &TrafficStats, device_count: u32, by_device: bool) -> Value {
     let kinds = traffic.kinds().map(|(kind, count)| {
         json!({ "kind": kind.name(), "plane": kind.plane().name(), "messages": count.messages, "bytes": count.bytes })
     });
     let mut output = json!({
-        "n": devices,
+        "n": device_count,
         "ttis": traffic.ttis(),
         "kinds": kinds.collect::<Vec<_>>(),
         "control": traffic.control(),
@@ -88,16 +92,16 @@ fn json_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
         "control_share_of_air_bytes": traffic.control_share(),
     });
     if by_device {
-        let device = |(device, kinds): (_, &std::collections::BTreeMap<MessageKind, MessageCount>)| {
+        let device_json = |(device, kinds): (_, &std::collections::BTreeMap<MessageKind, MessageCount>)| {
             let kinds = kinds.iter().map(|(kind, count)| (kind.name().to_owned(), json!(count)));
             json!({ "device": device, "kinds": kinds.collect::<serde_json::Map<_, _>>() })
         };
-        output["devices"] = traffic.devices().map(device).collect();
+        output["devices"] = traffic.devices().map(device_json).collect();
     }
     output
 }
 
-fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
+fn text_stats(traffic: &TrafficStats, device_count: u32, by_device: bool) -> String {
     let ttis = traffic.ttis().max(1) as f64;
     let mut table = Table::new();
     // Units below the quantities, so that large counts fit into 80 columns.
@@ -123,7 +127,7 @@ fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
             count.bytes.to_string(),
             format!("{:.3}", count.messages as f64 / ttis),
             format!("{bytes_per_tti:.2}"),
-            format!("{:.4}", bytes_per_tti / f64::from(devices.max(1))),
+            format!("{:.4}", bytes_per_tti / f64::from(device_count.max(1))),
         ]
     };
     for (kind, count) in traffic.kinds() {
@@ -137,7 +141,7 @@ fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     }
     let span = traffic.tti_range().map_or_else(
         || "no messages".to_owned(),
-        |(first, last)| format!("TTIs {first} to {last}, {devices} devices"),
+        |(first, last)| format!("TTIs {first} to {last}, {device_count} devices"),
     );
     let mut output = vec![format!("{span}\n{table}")];
     if let Some(share) = traffic.control_share() {

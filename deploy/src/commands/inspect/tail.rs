@@ -1,5 +1,6 @@
 //! `reveille inspect tail`: decoded messages, one per line. Each line of `--json` has the keys of
-//! `view/src/frame_line.rs`, also the line of a paired wake-up; `tests/recordings/` reads them.
+//! `view/src/frame_line.rs`; [`Printer::format_exchange`] repeats them for a paired wake-up. `tests/recordings/` reads
+//! them.
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -25,7 +26,7 @@ use crate::terminal;
 /// Prints the requested messages.
 pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
-    let mut filter = filter(args);
+    let mut filter = filter_without_devices(args);
     filter.check_kinds().map_err(anyhow::Error::msg)?;
     let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
     let needs_scenario = args.cluster.is_some() || !filter.states.is_empty();
@@ -34,16 +35,17 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     } else {
         None
     };
-    let devices = match (&source, &scenario) {
+    let device_count = match (&source, &scenario) {
         (FrameSource::Live(live), _) => live.devices,
         (_, Some(scenario)) => scenario.run.devices,
+        // Not reached: the scenario of a recording is loaded above.
         (_, None) => 0,
     };
     if let Some(device) = args.device {
-        let last = devices.saturating_sub(1);
+        let last = device_count.saturating_sub(1);
         anyhow::ensure!(
-            device < devices,
-            "--device {device}: the run has {devices} devices, 0 to {last}"
+            device < device_count,
+            "--device {device}: the run has {device_count} devices, 0 to {last}"
         );
         filter.devices = Some(vec![DeviceId(device)]);
     }
@@ -68,7 +70,8 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     result.map(|()| ExitReason::Done.into())
 }
 
-fn filter(args: &TailArgs) -> Filter {
+/// Returns the filter of all options except `--device` and `--cluster`, which need the run.
+fn filter_without_devices(args: &TailArgs) -> Filter {
     let (first, last) = (args.since.unwrap_or(0), args.until.unwrap_or(u64::MAX));
     let is_limited = args.since.is_some() || args.until.is_some();
     Filter {
@@ -80,7 +83,7 @@ fn filter(args: &TailArgs) -> Filter {
     }
 }
 
-/// The devices of a cluster of the policy of `scenario`, limited to `allowed` if given.
+/// Returns the devices of a cluster of the policy of `scenario`, limited to `allowed` if given.
 fn cluster_devices(scenario: &Scenario, cluster: u32, allowed: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
     let Some(cluster_of_device) = device_groups(scenario) else {
         bail!(
@@ -107,10 +110,11 @@ fn cluster_devices(scenario: &Scenario, cluster: u32, allowed: Option<&[DeviceId
 struct Printer<'a> {
     args: &'a TailArgs,
     filter: Filter,
+    /// Joins a wake-up and its outcome to one line, if requested.
     pairer: Option<WakeUpPairer>,
-    /// Tracks the states of devices, if requested.
+    /// Tracks the states of devices, for `--state`.
     mirror: Option<DeviceMirror>,
-    /// The state of the last woken device before its wake-up.
+    /// The state of the last woken device before its wake-up, for the line of a pair, which comes later.
     state_before_wake: Option<DeviceState>,
     has_colour: bool,
     printed_lines: u64,
@@ -118,12 +122,12 @@ struct Printer<'a> {
 
 impl<'a> Printer<'a> {
     fn new(args: &'a TailArgs, filter: Filter, scenario: Option<&Scenario>) -> Self {
-        let is_wanted = |_: &&Scenario| !filter.states.is_empty();
+        let filters_states = |_: &&Scenario| !filter.states.is_empty();
         Self {
             pairer: args.pair_wake_ups.then(WakeUpPairer::default),
             state_before_wake: None,
             mirror: scenario
-                .filter(is_wanted)
+                .filter(filters_states)
                 .map(|scenario| DeviceMirror::new(scenario, &Deployment::new(scenario))),
             has_colour: match args.colour {
                 ColourArg::Always => true,
@@ -137,16 +141,19 @@ impl<'a> Printer<'a> {
     }
 
     /// Prints until enough messages are printed, the output is closed, or the source ends.
+    ///
+    /// # Errors
+    /// If the recording is torn, or frames that `--state` needs are missing.
     async fn print(&mut self, source: &mut FrameSource) -> anyhow::Result<()> {
-        let mut is_first = true;
+        let mut is_first_batch = true;
         while !self.is_done() {
-            let Some((frames, missing)) = source.next().await? else {
+            let Some((frames, dropped_before)) = source.next().await? else {
                 return Ok(());
             };
             // The mirror follows the states from TTI 0 on; after a gap they would be wrong.
             if let (Some(_), Some(frame)) = (&self.mirror, frames.first()) {
-                let is_late = std::mem::take(&mut is_first) && frame.tti.0 > 0;
-                if missing > 0 || is_late {
+                let is_late = std::mem::take(&mut is_first_batch) && frame.tti.0 > 0;
+                if dropped_before > 0 || is_late {
                     bail!(
                         "--state: messages before TTI {} were not received, and device states depend on them; record \
                         the run with --record, then use `reveille inspect tail FILE --state`",
@@ -159,7 +166,7 @@ impl<'a> Printer<'a> {
                 if self.is_done() || self.filter.is_over(frame.tti) {
                     return Ok(());
                 }
-                if let Some(line) = self.line(frame)? {
+                if let Some(line) = self.format_frame(frame)? {
                     // A reader that closes the pipe, such as `head`, ends the command in order.
                     if writeln!(out, "{line}").is_err() {
                         return Ok(());
@@ -178,8 +185,9 @@ impl<'a> Printer<'a> {
         self.args.count.is_some_and(|count| self.printed_lines >= count)
     }
 
-    /// Formats the line of a frame, if it passes the filter.
-    fn line(&mut self, frame: &Frame) -> anyhow::Result<Option<String>> {
+    /// Formats the line of a frame, if it passes the filter. Call it with every frame in order: it also advances the
+    /// mirror and the pairs.
+    fn format_frame(&mut self, frame: &Frame) -> anyhow::Result<Option<String>> {
         let line = FrameLine::new(frame);
         let mut state = None;
         if let Some(mirror) = &mut self.mirror {
@@ -198,13 +206,13 @@ impl<'a> Printer<'a> {
             .map_or(PairStep::Unpaired, |pairer| pairer.push(frame, &line.message));
         if let PairStep::Paired(exchange) = step {
             // The filter treats the line of an exchange as a wake-up, although its last frame is of another kind.
-            let wake = Frame {
+            let wake_frame = Frame {
                 kind: MessageKind::Wake,
                 ..frame.clone()
             };
             let passes = self
                 .filter
-                .passes(&wake, line.message.as_ref().ok(), self.state_before_wake);
+                .passes(&wake_frame, line.message.as_ref().ok(), self.state_before_wake);
             return Ok(passes.then(|| self.format_exchange(&exchange)));
         }
         let passes = step == PairStep::Unpaired && self.filter.passes(frame, line.message.as_ref().ok(), state);

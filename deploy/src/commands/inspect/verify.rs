@@ -1,6 +1,6 @@
 //! `reveille inspect verify`: recomputes the results of a recorded run from its messages alone, with
 //! `view/src/reconstruction.rs`, and compares them with the summary in the recording. [`ExpectedResults`] has field
-//! names of `summary.json` (`summary`).
+//! names of `summary.json` (`summary`). `docs/watching.md` shows the text.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -13,7 +13,7 @@ use reveille_common::totals::Totals;
 use reveille_view::reconstruction::Reconstruction;
 use serde::Deserialize;
 
-use super::source::open;
+use super::source::open_recording;
 use crate::cli::VerifyArgs;
 use crate::display::{count_noun, print_stdout};
 use crate::exit::ExitReason;
@@ -21,7 +21,7 @@ use crate::exit::ExitReason;
 /// Verifies a recording.
 pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let path_text = || args.file.display().to_string();
-    let mut recording = open(&args.file)?;
+    let mut recording = open_recording(&args.file)?;
     let summary = recording.summary().map(str::to_owned);
     let scenario = recording.bundle().load().with_context(path_text)?;
     let mut reconstruction = Reconstruction::new(&scenario);
@@ -44,13 +44,13 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
             Err(error) => break Some(error),
         }
     };
-    let ttis = reconstruction.ttis_applied();
+    let ttis_done = reconstruction.ttis_applied();
     let recomputed = reconstruction.finish();
     let consistency = format!(
         "{}: {}, TTIs 0 to {}, are consistent",
         path_text(),
         count_noun(frame_count, "message"),
-        ttis.saturating_sub(1)
+        ttis_done.saturating_sub(1)
     );
     if let Some(error) = torn {
         print_stdout(&format!("{consistency}\n"))?;
@@ -58,15 +58,15 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     }
     let Some(summary) = summary else {
         print_stdout(&format!("{consistency}\ndigest of these TTIs {}\n", recomputed.digest))?;
-        let why = if ttis < scenario.run.ttis {
+        let cause = if ttis_done < scenario.run.ttis {
             format!("the run was interrupted before TTI {}", scenario.run.ttis)
         } else {
             "it was recorded by `inspect record`, or its end is damaged".to_owned()
         };
-        bail!("{}: the recording has no summary to compare with: {why}", path_text());
+        bail!("{}: the recording has no summary to compare with: {cause}", path_text());
     };
     let summary: ExpectedResults = serde_json::from_str(&summary).with_context(path_text)?;
-    compare(&recomputed, ttis, &summary).with_context(path_text)?;
+    compare_with_summary(&recomputed, ttis_done, &summary).with_context(path_text)?;
     print_stdout(&format!(
         "{consistency}\ndigest {}, as in the summary\nall metrics and totals, as in the summary\n",
         recomputed.digest
@@ -83,8 +83,11 @@ struct ExpectedResults {
     totals: Totals,
 }
 
-/// Compares the results from the messages with the summary.
-fn compare(recomputed: &FinalScore, ttis: u64, expected: &ExpectedResults) -> anyhow::Result<()> {
+/// Compares the results from the messages of the first `ttis_done` TTIs with the summary.
+///
+/// # Errors
+/// If a result differs; the message names the first one.
+fn compare_with_summary(recomputed: &FinalScore, ttis_done: u64, expected: &ExpectedResults) -> anyhow::Result<()> {
     fn check_equal<T: PartialEq + Debug>(name: &str, recomputed: &T, expected: &T) -> anyhow::Result<()> {
         anyhow::ensure!(
             recomputed == expected,
@@ -92,7 +95,7 @@ fn compare(recomputed: &FinalScore, ttis: u64, expected: &ExpectedResults) -> an
         );
         Ok(())
     }
-    check_equal("ttis_done", &ttis, &expected.ttis_done)?;
+    check_equal("ttis_done", &ttis_done, &expected.ttis_done)?;
     for (name, value, _) in recomputed.metrics.rows() {
         // JSON has no NaN: the summary holds null instead.
         let value = Some(value).filter(|value| !value.is_nan());

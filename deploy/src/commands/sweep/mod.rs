@@ -1,6 +1,6 @@
 //! `reveille sweep`: many runs in memory, one per combination of values and seed. `lab/src/sweep/` runs them and keeps
 //! the journal; this module chooses the folder and shows progress and results. A repeated command finds its journal by
-//! the default folder, `runs/sweep-HASH` (`docs/sweeps.md`).
+//! the default folder, `runs/sweep-HASH` (`docs/sweeps.md`), so a change of the name or the hash loses it.
 
 mod progress;
 mod report;
@@ -33,20 +33,21 @@ pub(crate) fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let mut grid = SweepGrid::new(experiment, &Disk)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
-    let folder = sweep_folder(args, &mut grid, shard);
+    // First, since it can raise the number of seeds in `grid`.
+    let folder = choose_folder(args, &mut grid, shard);
     check_output_folder("--out", &folder)?;
     log_warnings(&grid);
     if args.dry_run {
         display::print_stdout(&report::dry_run(args, &grid, shard, &folder)?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let threads = threads(args)?;
-    let reusable = reusable_runs(&args.reuse)?;
+    let threads = thread_count(args)?;
+    let reusable_runs = read_reusable_runs(&args.reuse)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let mut sweep = Sweep::open(&grid, shard, &folder)?;
     report_found(args, &sweep, &folder);
     // Before the progress starts, since reused runs count as found.
-    let reused = sweep.reuse(&reusable)?;
+    let reused = sweep.reuse(&reusable_runs)?;
     if reused > 0 && !args.quiet {
         note!("{} taken over by --reuse", display::count_noun(reused, "run"));
     }
@@ -55,34 +56,34 @@ pub(crate) fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let forced_exit =
         signals.force_exit_after_signal(exit_message(Arc::clone(&progress), sweep.known_runs(), folder.clone()))?;
     let started = crate::runtime::now();
-    let result = sweep.run(threads, args.format.into(), &*progress);
+    let outcome = sweep.run(threads, args.format.into(), &*progress);
     drop(forced_exit);
     let seconds = started.elapsed().as_secs_f64();
     let device_ttis = progress.finish();
-    let Some(finished) = result? else {
+    let Some(sweep_result) = outcome? else {
         bail!(interrupted(sweep.finished_runs(), &folder));
     };
-    let report = SweepSummary {
+    let summary = SweepSummary {
         grid: &grid,
-        finished: &finished,
+        result: &sweep_result,
         folder: &folder,
-        found: sweep.known_runs(),
+        known_runs: sweep.known_runs(),
         seconds,
         device_ttis,
         threads,
     };
     if args.json {
-        display::print_stdout(&report.to_json()?)?;
+        display::print_stdout(&summary.to_json()?)?;
     } else if args.quiet {
-        display::print_stdout(&format!("{}\n", finished.path.display()))?;
+        display::print_stdout(&format!("{}\n", sweep_result.path.display()))?;
     } else {
-        display::print_stdout(&report.to_text())?;
+        display::print_stdout(&summary.to_text())?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// Reads the runs in the tables of `--reuse`.
-fn reusable_runs(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
+fn read_reusable_runs(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
     let read = |given: &PathBuf| {
         let path = crate::paths::resolve_table(given)?;
         let table = Table::read(&path)?;
@@ -102,19 +103,19 @@ pub(super) fn log_warnings(grid: &SweepGrid) {
 
 /// Returns the message for a sweep that does not end soon after a signal. A run in set-up does not check for signals,
 /// and a million devices or a search can make that long. Finished runs are in the journal.
-fn exit_message(progress: Arc<SweepDisplay>, found: usize, folder: PathBuf) -> impl FnOnce() -> String {
+fn exit_message(progress: Arc<SweepDisplay>, known_runs: usize, folder: PathBuf) -> impl FnOnce() -> String {
     move || {
         progress.finish();
-        let done = found + progress.finished_runs();
-        interrupted(done, &folder).to_string()
+        let finished_runs = known_runs + progress.finished_runs();
+        interrupted(finished_runs, &folder).to_string()
     }
 }
 
-/// The error of a sweep ended by a signal, with `done` finished runs in `folder`.
-fn interrupted(done: usize, folder: &Path) -> Interrupted {
-    let are = if done == 1 { "is" } else { "are" };
-    let (done, folder) = (display::count_noun(done, "finished run"), folder.display());
-    let text = format!("interrupted; the {done} {are} kept in {folder}: give the same command again to resume");
+/// The error of a sweep ended by a signal, with this number of finished runs in `folder`.
+fn interrupted(finished_runs: usize, folder: &Path) -> Interrupted {
+    let verb = if finished_runs == 1 { "is" } else { "are" };
+    let (runs, folder) = (display::count_noun(finished_runs, "finished run"), folder.display());
+    let text = format!("interrupted; the {runs} {verb} kept in {folder}: give the same command again to resume");
     Interrupted(text.into())
 }
 
@@ -138,7 +139,7 @@ fn report_found(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
     }
 }
 
-fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
+fn thread_count(args: &SweepArgs) -> anyhow::Result<usize> {
     Ok(match args.threads {
         Some(threads) => usize::from(threads),
         None => std::thread::available_parallelism()?.get(),
@@ -146,9 +147,12 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
 }
 
 /// Returns the folder that the command line names. Otherwise it is the folder of the given experiment file if the sweep
-/// resumes there, or a folder named after the experiment.
-fn sweep_folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf {
-    let experiment_folder = args.experiment.as_deref().and_then(|file| {
+/// resumes there, or a folder named after the experiment. If the sweep resumes in the folder of the file without
+/// `--seeds`, the seeds of `grid` are raised to the number in the journal.
+fn choose_folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf {
+    // The folder of the file, with the seeds in its journal, if it is the folder of this sweep.
+    // `lab/src/sweep/folder.rs` names the file.
+    let resumable_folder = args.experiment.as_deref().and_then(|file| {
         let parent = file.parent().filter(|_| file.ends_with("experiment.toml"))?;
         let experiment_folder = if parent == Path::new("") {
             Path::new(".")
@@ -165,11 +169,11 @@ fn sweep_folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf
             .as_deref()
             .is_none_or(|out| crate::paths::is_same_path(out, folder))
     };
-    if let Some((experiment_folder, journal_seeds)) = experiment_folder.filter(|(folder, _)| is_requested(folder)) {
-        let seeds = &mut grid.experiment.seeds.count;
+    if let Some((experiment_folder, journal_seeds)) = resumable_folder.filter(|(folder, _)| is_requested(folder)) {
+        let seed_count = &mut grid.experiment.seeds.count;
         if args.grid.seeds.is_none() {
             // A kill while seeds were added can leave an experiment.toml with fewer seeds than the journal.
-            *seeds = journal_seeds.max(*seeds);
+            *seed_count = journal_seeds.max(*seed_count);
         }
         if args.out.is_none() {
             // Opening the journal refuses fewer seeds than it holds.

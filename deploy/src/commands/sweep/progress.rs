@@ -26,46 +26,51 @@ pub(super) struct SweepDisplay {
     bar: ProgressBar,
     signals: Signals,
     threads: usize,
+    /// The labels of the cells, by cell.
     labels: Vec<String>,
-    cells: Vec<CellTimes>,
+    cells: Vec<CellProgress>,
+    /// The cell whose run started last, for the label next to the bar.
     current_cell: AtomicUsize,
     started_at: Instant,
+    /// The starts of the runs in progress, one for each thread.
     run_starts: Mutex<Vec<(ThreadId, Instant)>>,
     last_drawn: Mutex<Instant>,
     /// The warnings already printed, by cell.
-    warned: Mutex<BTreeSet<(usize, String)>>,
+    printed_warnings: Mutex<BTreeSet<(usize, String)>>,
 }
 
-/// The progress of one cell.
-struct CellTimes {
+/// The progress of one cell in this call; runs found in the journal do not count.
+struct CellProgress {
     /// Device-TTIs of one run.
     run_device_ttis: u64,
-    planned: AtomicU64,
-    done: AtomicU64,
+    /// Number of runs to make, so far: more can follow.
+    planned_runs: AtomicU64,
+    /// Number of finished runs.
+    finished_runs: AtomicU64,
     /// Total time of all finished runs, nanoseconds.
     total_nanos: AtomicU64,
 }
 
 impl SweepDisplay {
-    /// Shows a sweep of `grid` with `found` finished runs, unless `hidden` or standard error is not a terminal.
+    /// Shows a sweep of `grid` with `known_runs` finished runs, unless `hidden` or standard error is not a terminal.
     pub(super) fn start(
         grid: &SweepGrid,
         shard: Shard,
         threads: usize,
-        found: usize,
+        known_runs: usize,
         signals: &Signals,
         hidden: bool,
     ) -> Self {
         let template = "{bar:12} {pos}/{len} runs  {wide_msg}";
         let bar = display::new_bar(
-            grid.shard_run_count(shard).saturating_sub(found as u64),
+            grid.shard_run_count(shard).saturating_sub(known_runs as u64),
             template,
             hidden,
         );
-        let cell_times = |run_device_ttis| CellTimes {
+        let new_cell = |run_device_ttis| CellProgress {
             run_device_ttis,
-            planned: AtomicU64::new(0),
-            done: AtomicU64::new(0),
+            planned_runs: AtomicU64::new(0),
+            finished_runs: AtomicU64::new(0),
             total_nanos: AtomicU64::new(0),
         };
         let now = crate::runtime::now();
@@ -74,12 +79,12 @@ impl SweepDisplay {
             signals: signals.clone(),
             threads,
             labels: grid.cells.iter().map(|cell| cell.label.clone()).collect(),
-            cells: grid.cells.iter().map(|cell| cell_times(cell.device_ttis())).collect(),
+            cells: grid.cells.iter().map(|cell| new_cell(cell.device_ttis())).collect(),
             current_cell: AtomicUsize::new(0),
             started_at: now,
             run_starts: Mutex::new(Vec::with_capacity(threads)),
             last_drawn: Mutex::new(now),
-            warned: Mutex::default(),
+            printed_warnings: Mutex::default(),
         }
     }
 
@@ -88,16 +93,24 @@ impl SweepDisplay {
         self.bar.finish_and_clear();
         self.cells
             .iter()
-            .map(|cell| cell.run_device_ttis.saturating_mul(cell.done.load(Ordering::Relaxed)))
+            .map(|cell| {
+                cell.run_device_ttis
+                    .saturating_mul(cell.finished_runs.load(Ordering::Relaxed))
+            })
             .fold(0, u64::saturating_add)
     }
 
     /// The number of finished runs of this call.
     pub(super) fn finished_runs(&self) -> usize {
-        let done: u64 = self.cells.iter().map(|cell| cell.done.load(Ordering::Relaxed)).sum();
-        usize::try_from(done).unwrap_or(usize::MAX)
+        let finished: u64 = self
+            .cells
+            .iter()
+            .map(|cell| cell.finished_runs.load(Ordering::Relaxed))
+            .sum();
+        usize::try_from(finished).unwrap_or(usize::MAX)
     }
 
+    /// Redraws the bar, at most once per [`REDRAW_INTERVAL`].
     fn draw(&self) {
         let now = crate::runtime::now();
         // A thread that finds another one drawing continues with its runs.
@@ -109,70 +122,72 @@ impl SweepDisplay {
         }
         *last_drawn = now;
         let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
-        let (done, planned) = self.cells.iter().fold((0, 0), |(done, planned), cell| {
-            (done + load(&cell.done), planned + load(&cell.planned))
+        let (finished_runs, planned_runs) = self.cells.iter().fold((0, 0), |(finished, planned), cell| {
+            (finished + load(&cell.finished_runs), planned + load(&cell.planned_runs))
         });
-        let work: f64 = self
+        let device_ttis: f64 = self
             .cells
             .iter()
-            .map(|cell| cell.run_device_ttis as f64 * load(&cell.done) as f64)
+            .map(|cell| cell.run_device_ttis as f64 * load(&cell.finished_runs) as f64)
             .sum();
         let elapsed = now.duration_since(self.started_at);
-        self.bar.set_length(planned);
-        self.bar.set_position(done);
+        self.bar.set_length(planned_runs);
+        self.bar.set_position(finished_runs);
         let label = &self.labels[self.current_cell.load(Ordering::Relaxed)];
         // The first runs alone do not measure a rate.
-        self.bar.set_message(if done == 0 || elapsed < LEAST_MEASURED {
+        self.bar.set_message(if finished_runs == 0 || elapsed < LEAST_MEASURED {
             label.clone()
         } else {
             format!(
                 "{}  {:#} left  {label}",
-                display::format_speed(work / elapsed.as_secs_f64()),
+                display::format_speed(device_ttis / elapsed.as_secs_f64()),
                 HumanDuration(self.remaining_time())
             )
         });
     }
 
-    /// Estimates the remaining time.
+    /// Estimates the remaining time, as the header describes.
     fn remaining_time(&self) -> Duration {
+        // Read once, so that the sums and the estimates use the same counts.
         let cell_counts = self.cells.iter().map(|cell| {
-            let (done, total_nanos) = (
-                cell.done.load(Ordering::Relaxed),
+            let (finished, total_nanos) = (
+                cell.finished_runs.load(Ordering::Relaxed),
                 cell.total_nanos.load(Ordering::Relaxed),
             );
-            (cell, done, total_nanos)
+            (cell, finished, total_nanos)
         });
         let cell_counts: Vec<_> = cell_counts.collect();
-        let (work, time) = cell_counts
-            .iter()
-            .fold((0.0, 0.0), |(work, time), (cell, done, total_nanos)| {
-                (
-                    work + cell.run_device_ttis as f64 * *done as f64,
-                    time + *total_nanos as f64,
-                )
-            });
+        let (device_ttis, nanos) =
+            cell_counts
+                .iter()
+                .fold((0.0, 0.0), |(device_ttis, nanos), (cell, finished, total_nanos)| {
+                    (
+                        device_ttis + cell.run_device_ttis as f64 * *finished as f64,
+                        nanos + *total_nanos as f64,
+                    )
+                });
         // Without a finished run this is 0, not NaN.
-        let mean = time / work.max(1.0);
-        let remaining: f64 = cell_counts
+        let nanos_per_device_tti = nanos / device_ttis.max(1.0);
+        let remaining_nanos: f64 = cell_counts
             .iter()
-            .map(|&(cell, done, total_nanos)| {
-                let remaining = cell.planned.load(Ordering::Relaxed).saturating_sub(done) as f64;
-                let nanos_per_run = if done > 0 {
-                    total_nanos as f64 / done as f64
+            .map(|&(cell, finished, total_nanos)| {
+                let remaining_runs = cell.planned_runs.load(Ordering::Relaxed).saturating_sub(finished) as f64;
+                let nanos_per_run = if finished > 0 {
+                    total_nanos as f64 / finished as f64
                 } else {
-                    mean * cell.run_device_ttis as f64
+                    nanos_per_device_tti * cell.run_device_ttis as f64
                 };
-                remaining * nanos_per_run
+                remaining_runs * nanos_per_run
             })
             .sum();
         // Clamped, since `from_secs_f64` panics on a value that does not fit.
-        Duration::from_secs_f64((remaining / 1e9 / self.threads as f64).min(1e9))
+        Duration::from_secs_f64((remaining_nanos / 1e9 / self.threads as f64).min(1e9))
     }
 }
 
 impl SweepProgress for SweepDisplay {
     fn planned(&self, cell: usize, runs: u64) {
-        self.cells[cell].planned.fetch_add(runs, Ordering::Relaxed);
+        self.cells[cell].planned_runs.fetch_add(runs, Ordering::Relaxed);
     }
 
     fn started(&self, cell: usize) {
@@ -189,21 +204,21 @@ impl SweepProgress for SweepDisplay {
         let run_time = index.map_or(Duration::ZERO, |index| run_starts.swap_remove(index).1.elapsed());
         // Released before `draw`, which writes to the terminal.
         drop(run_starts);
-        let total_nanos = u64::try_from(run_time.as_nanos()).unwrap_or(u64::MAX);
-        self.cells[cell].total_nanos.fetch_add(total_nanos, Ordering::Relaxed);
-        self.cells[cell].done.fetch_add(1, Ordering::Relaxed);
+        let run_nanos = u64::try_from(run_time.as_nanos()).unwrap_or(u64::MAX);
+        self.cells[cell].total_nanos.fetch_add(run_nanos, Ordering::Relaxed);
+        self.cells[cell].finished_runs.fetch_add(1, Ordering::Relaxed);
         self.draw();
     }
 
     /// Prints a warning once per cell, even if several of its runs cause it.
     fn warned(&self, cell: usize, warning: &str) {
-        let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
-        if warned.insert((cell, warning.to_owned())) {
+        let mut printed_warnings = self.printed_warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if printed_warnings.insert((cell, warning.to_owned())) {
             self.bar.suspend(|| tracing::warn!("{}: {warning}", self.labels[cell]));
         }
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

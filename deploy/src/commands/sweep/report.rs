@@ -1,4 +1,5 @@
-//! The results of a sweep, as text and as JSON. Programs of users read the keys of the JSON, so do not rename them.
+//! The results of a sweep, as text and as JSON. Programs of users read the keys of the JSON, so do not rename them. The
+//! text fits 80 columns (`tests/program/widths.rs`).
 
 use std::path::Path;
 
@@ -17,9 +18,11 @@ use crate::cli::SweepArgs;
 use crate::display::{WIDTH, count_noun, format_speed, wrap_text};
 
 /// Heading of the number of runs of a cell.
-const RUNS: &str = "runs";
-/// Most lines of a script that are shown.
+const RUNS_HEADING: &str = "runs";
+/// Most lines of a script of actions that are shown.
 const MAX_SHOWN_LINES: usize = 3;
+/// Index of the heading `policy` in the closing table.
+const POLICY_COLUMN: usize = 1;
 
 /// The metrics of the closing table and their short headings.
 const CLOSING_METRICS: [(&str, &str); 6] = [
@@ -36,11 +39,11 @@ pub(super) struct SweepSummary<'r> {
     /// The grid of the sweep.
     pub grid: &'r SweepGrid,
     /// Its results.
-    pub finished: &'r SweepResult,
+    pub result: &'r SweepResult,
     /// The folder of the sweep.
     pub folder: &'r Path,
     /// Number of runs taken from earlier calls.
-    pub found: usize,
+    pub known_runs: usize,
     /// Duration of the other runs, seconds.
     pub seconds: f64,
     /// Device-TTIs of the other runs.
@@ -57,29 +60,29 @@ impl SweepSummary<'_> {
             "mean and, below it, half-width of the 95 % interval over the runs".to_owned(),
             "<: a one-sided 95 % bound, where an interval would need more cases".to_owned(),
         ];
-        let script = self.finished.table.metadata.action_script();
+        let script = self.result.table.metadata.action_script();
         lines.extend(script.map(|script| describe_script(&script)));
         lines.extend(self.format_wide_intervals());
-        lines.push(self.format_speed());
-        let line = format!("one row per run in {}", self.finished.path.display());
+        lines.push(self.format_run_count());
+        let line = format!("one row per run in {}", self.result.path.display());
         lines.push(wrap_text(&line, WIDTH) + "\n");
         lines.join("\n")
     }
 
     /// Formats the cells as a table. Labels that all cells share form its title, so that it fits 80 columns.
     fn format_cells(&self) -> String {
-        let names = SeriesNames::from_table(&self.finished.table);
+        let names = SeriesNames::from_table(&self.result.table);
         let is_shown = |column: usize| names.ranking_column() != Some(column);
-        let cells = stats::group_by_cell(&self.finished.table);
+        let cells = stats::group_by_cell(&self.result.table);
         let cells = names.distinct_cells(&cells);
-        let swept = self.finished.table.schema.swept.iter().enumerate();
+        let swept = self.result.table.schema.swept.iter().enumerate();
         let swept = swept
             .filter(|(column, _)| is_shown(*column))
             .map(|(_, (name, _))| name.as_str());
         let headings: Vec<&str> = ["preset", "policy", "N", "TTIs"]
             .into_iter()
             .chain(swept)
-            .chain([RUNS])
+            .chain([RUNS_HEADING])
             .collect();
         let labels: Vec<Vec<String>> = cells
             .iter()
@@ -100,11 +103,11 @@ impl SweepSummary<'_> {
         let is_shared = |column: &usize| labels.iter().all(|row| row[*column] == labels[0][*column]);
         // The policy stays a column: it names the rows.
         let (shared_columns, row_columns): (Vec<usize>, Vec<usize>) =
-            (0..headings.len()).partition(|column| *column != 1 && is_shared(column));
+            (0..headings.len()).partition(|column| *column != POLICY_COLUMN && is_shared(column));
         let title = shared_columns.iter().filter_map(|column| {
             let value = labels.first()?.get(*column)?;
             Some(match headings[*column] {
-                RUNS => format!("{value} {} per row", if value == "1" { "run" } else { "runs" }),
+                RUNS_HEADING => format!("{value} {} per row", if value == "1" { "run" } else { "runs" }),
                 heading => format!("{heading} {value}"),
             })
         });
@@ -121,31 +124,31 @@ impl SweepSummary<'_> {
             .collect();
         let row_headings: Vec<&str> = row_columns.iter().map(|column| headings[*column]).collect();
         // Several swept fields leave less room for metrics, which then make further tables.
-        let tables = [6, 3, 2, 1].map(|count| {
-            let parts = CLOSING_METRICS.chunks(count);
+        let layouts = [CLOSING_METRICS.len(), 3, 2, 1].map(|metrics_per_table| {
+            let parts = CLOSING_METRICS.chunks(metrics_per_table);
             let tables: Vec<String> = parts
                 .map(|metrics| format_table(&row_headings, &rows, metrics))
                 .collect();
             tables.join("\n")
         });
-        let first_that_fits = tables.iter().find(|text| columns_of(text) <= WIDTH);
-        let [.., narrowest] = &tables;
-        let tables = first_that_fits.unwrap_or(narrowest);
-        format!("{title}\n{tables}")
+        let widest_that_fits = layouts.iter().find(|text| widest_line(text) <= WIDTH);
+        let [.., narrowest] = &layouts;
+        let layout = widest_that_fits.unwrap_or(narrowest);
+        format!("{title}\n{layout}")
     }
 
     /// Formats the number of runs, and the speed of the runs of this call.
-    fn format_speed(&self) -> String {
-        let rows = self.finished.table.rows.len();
-        let line = match (self.found, self.device_ttis) {
+    fn format_run_count(&self) -> String {
+        let rows = self.result.table.rows.len();
+        let line = match (self.known_runs, self.device_ttis) {
             (_, 0) => format!("{}, already finished", count_noun(rows, "run")),
-            (found, _) => {
-                let found = match found {
+            (known_runs, _) => {
+                let known_text = match known_runs {
                     0 => String::new(),
-                    found => format!(", {found} of them already finished; the others"),
+                    known_runs => format!(", {known_runs} of them already finished; the others"),
                 };
                 format!(
-                    "{}{found} in {} s on {}: {}",
+                    "{}{known_text} in {} s on {}: {}",
                     count_noun(rows, "run"),
                     format_significant(self.seconds, 2),
                     count_noun(self.threads, "thread"),
@@ -156,12 +159,13 @@ impl SweepSummary<'_> {
         wrap_text(&line, WIDTH)
     }
 
-    /// The cells whose intervals are wider than `until_ci` after all seeds: label, metric, width.
+    /// The cells whose intervals are wider than `until_ci` after all seeds: label, metric, and half-width as a share of
+    /// the mean.
     fn wide_intervals(&self) -> Vec<(&str, &str, f64)> {
         let Some(until) = &self.grid.experiment.until_ci else {
             return Vec::new();
         };
-        let cells = self.grid.cells.iter().zip(&self.finished.cells);
+        let cells = self.grid.cells.iter().zip(&self.result.cells);
         let wide_intervals = cells.filter_map(|(cell, CellSummary { widest, .. })| {
             let (metric, width) = widest.as_ref().filter(|(_, width)| *width > until.target)?;
             Some((cell.label.as_str(), metric.as_str(), *width))
@@ -188,9 +192,9 @@ impl SweepSummary<'_> {
     /// # Errors
     /// Never in practice.
     pub(super) fn to_json(&self) -> anyhow::Result<String> {
-        let schema = &self.finished.table.schema;
-        let names = SeriesNames::from_table(&self.finished.table);
-        let cells: Vec<Json> = stats::group_by_cell(&self.finished.table)
+        let schema = &self.result.table.schema;
+        let names = SeriesNames::from_table(&self.result.table);
+        let cells: Vec<Json> = stats::group_by_cell(&self.result.table)
             .iter()
             .map(|cell| {
                 let metrics: Map<String, Json> = Metrics::ALL
@@ -220,10 +224,10 @@ impl SweepSummary<'_> {
             .collect();
         let report = json!({
             "status": "complete",
-            "folder": self.folder, "table": self.finished.path,
-            "runs": self.finished.table.rows.len(), "found": self.found,
+            "folder": self.folder, "table": self.result.path,
+            "runs": self.result.table.rows.len(), "found": self.known_runs,
             "threads": self.threads, "seconds": self.seconds, "device_ttis": self.device_ttis,
-            "cells": cells, "not_narrow": wide_intervals, "actions": self.finished.table.metadata.action_script(),
+            "cells": cells, "not_narrow": wide_intervals, "actions": self.result.table.metadata.action_script(),
         });
         Ok(serde_json::to_string_pretty(&report)? + "\n")
     }
@@ -262,7 +266,7 @@ fn format_table(row_headings: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], me
 }
 
 /// The number of columns of the widest line of `text`.
-fn columns_of(text: &str) -> usize {
+fn widest_line(text: &str) -> usize {
     text.lines().map(|line| line.chars().count()).max().unwrap_or(0)
 }
 
@@ -299,7 +303,7 @@ fn estimate_json(estimate: MetricEstimate) -> Json {
         deviation,
         half_width,
         runs,
-    } = estimate.estimate;
+    } = estimate.mean_estimate;
     json!({
         "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs,
         "upper_bound": estimate.upper_bound, "lower_bound": estimate.lower_bound,
@@ -312,9 +316,9 @@ fn format_estimate(estimate: Option<MetricEstimate>) -> String {
     let Some(estimate) = estimate else {
         return "–".to_owned();
     };
-    let Estimate { mean, half_width, .. } = estimate.estimate;
+    let Estimate { mean, half_width, .. } = estimate.mean_estimate;
     // Two significant digits of the uncertainty.
-    let digits = |unsure: f64| decimals_for(unsure, 2);
+    let digits = |uncertainty: f64| decimals_for(uncertainty, 2);
     match estimate.upper_bound {
         Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
         Some(upper) => format!("{mean:.digits$}, < {upper:.digits$}", digits = digits(upper)),
@@ -331,7 +335,7 @@ fn format_estimate(estimate: Option<MetricEstimate>) -> String {
     }
 }
 
-/// Formats the grid and its cost.
+/// Formats the grid and its cost, as JSON with `--json`.
 pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
     let seeds = grid.experiment.seeds;
     let runs = grid.shard_run_count(shard);

@@ -40,18 +40,19 @@ const ENVIRONMENT: [(&str, &str); 3] = [
 ];
 
 /// Restarts the command once with [`ENVIRONMENT`], since allocator and framework read it when they start. If that
-/// fails, the training is slow.
+/// fails, the training is slow. Call it first: the restart repeats the whole command.
 fn restart_with_environment() {
-    let unset = || {
+    let unset_variables = || {
         ENVIRONMENT
             .into_iter()
             .filter(|(name, _)| std::env::var_os(name).is_none())
     };
-    if unset().next().is_some()
+    if unset_variables().next().is_some()
         && let Ok(program) = std::env::current_exe()
     {
         let mut restarted = Command::new(program);
-        restarted.args(std::env::args_os().skip(1)).envs(unset());
+        restarted.args(std::env::args_os().skip(1)).envs(unset_variables());
+        // Returns only on failure.
         let failed = restarted.exec();
         tracing::debug!(%failed, "cannot restart with the environment for training; training without it");
     }
@@ -72,6 +73,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
     let (mut write_error, mut may_continue) = (None, true);
     let mut must_report_resume = checkpoint_bytes.is_some();
+    // Returns whether the training continues.
     let mut on_checkpoint = |status: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
             if std::mem::take(&mut must_report_resume) {
@@ -122,7 +124,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The bytes of the checkpoint, if it exists.
+/// Reads the bytes of the checkpoint, if it exists.
 fn read_checkpoint(checkpoint_path: &Path) -> anyhow::Result<Option<Vec<u8>>> {
     match std::fs::read(checkpoint_path) {
         Ok(bytes) => Ok(Some(bytes)),
@@ -176,26 +178,27 @@ fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
     })
 }
 
-/// Reads the trajectories and returns them with the metadata for the model's file.
+/// Reads the trajectories and returns them with the metadata for the model's file. The metadata also identify a
+/// checkpoint, so a change of a text here makes all older checkpoints invalid.
 fn read_trajectories(
     args: &DtArgs,
     training: &DtTrainingConfig,
 ) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {
     let (mut all_trajectories, mut metadata) = (Vec::new(), BTreeMap::new());
-    let mut data = String::new();
+    let mut data_text = String::new();
     for path in &args.trajectories {
         let (trajectories, hash) = match Trajectories::read(path) {
             Ok(read) => read,
             Err(error) => bail!("{}: {error}", path.display()),
         };
-        let _ = writeln!(data, "sha256 {hash}");
+        let _ = writeln!(data_text, "sha256 {hash}");
         for (key, value) in &trajectories.about {
-            let _ = writeln!(data, "{key}: {value}");
+            let _ = writeln!(data_text, "{key}: {value}");
         }
         all_trajectories.push(trajectories);
     }
-    metadata.insert("data".to_owned(), data);
-    // The metadata identify a checkpoint, so none can be resumed by another version.
+    metadata.insert("data".to_owned(), data_text);
+    // With the version in the metadata, another version cannot resume the checkpoint.
     metadata.insert("training".to_owned(), training.to_json());
     metadata.insert(
         "made_by".to_owned(),

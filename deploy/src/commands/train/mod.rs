@@ -1,4 +1,4 @@
-//! `reveille train`: training in memory, and the recording of training data.
+//! `reveille train`: training in memory, and the recording of training data. `docs/training.md` explains the use.
 
 #[cfg(feature = "train-dt")]
 mod dt;

@@ -22,6 +22,7 @@ use crate::signals::{SignalMode, Signals};
 pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_with_builtin_policy(&args.scenario()?)?;
     let training = args.episodes.training_config()?;
+    // The largest N has the lowest limit of TTIs.
     let mut largest_scenario = scenario.clone();
     largest_scenario.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
     if training.ttis > largest_scenario.max_ttis() {
@@ -74,19 +75,19 @@ pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     // The finished tables replace the checkpoint.
     let _ = std::fs::remove_file(&checkpoint_path);
     if !args.quiet {
-        for entry in &learned.entries {
+        for table_set in &learned.entries {
             if let Some(CurvePoint {
                 reward,
                 information,
                 energy,
                 ..
-            }) = entry.curve.last()
+            }) = table_set.curve.last()
             {
                 let [reward, information, energy] = [reward, information, energy].map(|x| format_significant(*x, 4));
                 display::print_stdout(&format!(
                     "{:<12} N = {:<5} reward {reward}  info (P1) {information}  energy {energy}\n",
-                    entry.lookback.label(),
-                    entry.devices
+                    table_set.lookback.label(),
+                    table_set.devices
                 ))?;
             }
         }
@@ -96,7 +97,7 @@ pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The error of a training ended by a signal, whose checkpoint would be at `checkpoint_path`.
+/// The error of a training ended by a signal, whose checkpoint would be at `checkpoint_path`. `dt` uses it too.
 pub(super) fn interruption_error(checkpoint_path: &Path) -> Interrupted {
     Interrupted(if checkpoint_path.exists() {
         let checkpoint_path = checkpoint_path.display();
@@ -107,26 +108,26 @@ pub(super) fn interruption_error(checkpoint_path: &Path) -> Interrupted {
     })
 }
 
-/// The progress display.
+/// The progress bar of a training, which a signal stops.
 struct TrainingDisplay {
     bar: ProgressBar,
     signals: Signals,
 }
 
 impl TrainingProgress for TrainingDisplay {
-    fn episode(&self, entry: &TableSet, point: &CurvePoint) {
+    fn episode(&self, table_set: &TableSet, point: &CurvePoint) {
         let CurvePoint {
             reward, information, ..
         } = point;
         self.bar.set_message(format!(
             "{}, N = {}: reward {reward:.3}, info (P1) {information:.3}",
-            entry.lookback.label(),
-            entry.devices
+            table_set.lookback.label(),
+            table_set.devices
         ));
         self.bar.inc(1);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.signals.has_arrived()
     }
 }

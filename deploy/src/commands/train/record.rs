@@ -28,7 +28,7 @@ const INTERRUPTED: &str = "interrupted; no trajectories were written";
 
 /// Records the requested runs.
 pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
-    let recording = recording_config(args)?;
+    let config = recording_config(args)?;
     if args.out.exists() && !args.force {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
@@ -38,9 +38,9 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     let forced_exit = signals.force_exit_after_signal(|| INTERRUPTED.to_owned())?;
     let stop = || signals.has_arrived();
     let trajectories = if args.from.is_empty() {
-        record_grid(args, &recording, &stop)?
+        record_grid(args, &config, &stop)?
     } else {
-        record_folders(args, &recording, &stop)?
+        record_folders(args, &config, &stop)?
     };
     // From here on the file is written, and must not be cut short.
     drop(forced_exit);
@@ -58,9 +58,9 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: {error}", args.out.display());
     }
     if !args.quiet {
-        let rows: usize = trajectories.chunks.iter().map(Chunk::device_ttis).sum();
+        let device_ttis: usize = trajectories.chunks.iter().map(Chunk::device_ttis).sum();
         note!(
-            "{} of {rows} device-TTIs",
+            "{} of {device_ttis} device-TTIs",
             display::count_noun(trajectories.chunks.len(), "chunk")
         );
     }
@@ -68,11 +68,11 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Records the runs of a grid.
+/// Records the runs of a grid. Returns `None` once `should_stop` is true.
 fn record_grid(
     args: &RecordArgs,
-    recording: &RecordingConfig,
-    stop: &(dyn Fn() -> bool + Sync),
+    config: &RecordingConfig,
+    should_stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
     let grid = SweepGrid::new(build_experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     log_warnings(&grid);
@@ -87,16 +87,19 @@ fn record_grid(
         "{bar:24} {pos}/{len} runs",
         args.quiet,
     );
-    let trajectories = record(&grid, recording, stop, &|| bar.inc(1));
+    let trajectories = record(&grid, config, should_stop, &|| bar.inc(1));
     bar.finish_and_clear();
     Ok(trajectories)
 }
 
-/// Records earlier runs from their folders.
+/// Records earlier runs from their folders. Returns `None` once `should_stop` is true.
+///
+/// # Errors
+/// If a folder holds no finished run, or the repeated run has another digest.
 fn record_folders(
     args: &RecordArgs,
-    recording: &RecordingConfig,
-    stop: &(dyn Fn() -> bool + Sync),
+    config: &RecordingConfig,
+    should_stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
     let (mut chunks, mut digest_lines) = (Vec::new(), String::new());
     for (run_index, folder) in (0..).zip(&args.from) {
@@ -109,19 +112,20 @@ fn record_folders(
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = read_digest(folder)?;
-        let Some((recorded_digest, run_chunks)) = record_from_scenario(&scenario, run_index, recording, stop) else {
+        let Some((repeated_digest, run_chunks)) = record_from_scenario(&scenario, run_index, config, should_stop)
+        else {
             return Ok(None);
         };
-        let Some(recorded_digest) = recorded_digest else {
+        let Some(repeated_digest) = repeated_digest else {
             bail!(
                 "{}: a run of genie, which decides by ground truth, cannot be learned from; use a run of another \
                  policy",
                 folder.display()
             );
         };
-        if recorded_digest.to_string() != digest {
+        if repeated_digest.to_string() != digest {
             bail!(
-                "{}: the scenario has the digest {recorded_digest}, but the summary has {digest}; use a complete, \
+                "{}: the scenario has the digest {repeated_digest}, but the summary has {digest}; use a complete, \
                  unchanged run folder of this version",
                 folder.display()
             );
@@ -131,7 +135,7 @@ fn record_folders(
     }
     let about = vec![
         ("runs".to_owned(), digest_lines),
-        ("recording".to_owned(), format!("{recording:?}")),
+        ("recording".to_owned(), format!("{config:?}")),
     ];
     Ok(Some(Trajectories { about, chunks }))
 }
@@ -139,7 +143,7 @@ fn record_folders(
 /// Reads the digest from the summary of the run folder.
 fn read_digest(folder: &Path) -> anyhow::Result<String> {
     let path = folder.join(SUMMARY_FILE);
-    let read_error = |why: String| anyhow::anyhow!("{}: {why}", path.display());
+    let read_error = |cause: String| anyhow::anyhow!("{}: {cause}", path.display());
     match status(folder) {
         FolderStatus::Finished => {}
         FolderStatus::Running(_) => bail!(

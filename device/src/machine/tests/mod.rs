@@ -1,5 +1,6 @@
 //! Tests of [`Machine`]: each transition between S1 to S4 with its cost. `step_by_step` compares it with a device that
-//! executes the TTIs one by one.
+//! executes the TTIs one by one. Not tested here: failures by operators (`tests/tests/actions.rs`), removal
+//! (`tests/tests/device_removal.rs`) and checkpoints (takeovers and resumed runs in `tests/program/`).
 
 mod step_by_step;
 
@@ -19,12 +20,18 @@ use reveille_common::units::Energy;
 
 use super::{DeviceState, Machine, Physics, SenseOutcome};
 
+/// The seed of the streams of [`device_with`].
+pub(super) const SEED: u64 = 1;
+/// The device of [`device_with`].
+pub(super) const DEVICE: DeviceId = DeviceId(7);
 /// The first measured TTI, after the warm-up.
 pub(super) const MEASURED_FROM: Tti = Tti(7);
 pub(super) const ASLEEP: DeviceState = DeviceState::Sleep { powered: true };
 pub(super) const UNPOWERED: DeviceState = DeviceState::Sleep { powered: false };
+/// Events up to this distance, m, are always detected.
 pub(super) const D_MAX: f64 = 4.0;
-/// A distance within d_max, m, and the information of a report from there: exp(−3).
+/// A distance within d_max, m, and the information of a report from there: exp(−3), with the sensing model of
+/// [`device_with`].
 pub(super) const NEAR: f64 = 3.0;
 pub(super) const NEAR_INFORMATION: f64 = 0.049_787_068_367_863_944;
 /// A distance beyond d_max, m.
@@ -34,7 +41,7 @@ pub(super) const fn micro(n: u64) -> Energy {
     Energy::from_micro(n)
 }
 
-/// E_idle = 10, E_WuR = 1 and E_Tx = 100 micro-units, in a battery of 1000.
+/// E_idle = 10, E_WuR = 1 and E_Tx = 100 micro-units, in a battery of 1000. The levels expected below follow from them.
 pub(super) fn energy_model(initial: u64) -> EnergyModel {
     EnergyModel {
         e_max: micro(1000),
@@ -45,15 +52,16 @@ pub(super) fn energy_model(initial: u64) -> EnergyModel {
     }
 }
 
-/// Creates a device at the origin that harvests `rows`, one in each TTI, cyclically.
+/// Creates a device at the origin, asleep, with a perfect radio, that harvests `rows`, one in each TTI, cyclically,
+/// micro-units.
 pub(super) fn device(energy: EnergyModel, rows: &[u64]) -> (Machine, Physics) {
     device_with(RadioSettings::default(), energy, rows)
 }
 
-/// Creates the same device with `radio`.
+/// Creates the device of [`device`], but with `radio`. The number of rows is the length of the cycle, TTIs.
 pub(super) fn device_with(radio: RadioSettings, energy: EnergyModel, rows: &[u64]) -> (Machine, Physics) {
     let setup = DeviceSetup {
-        id: DeviceId(7),
+        id: DEVICE,
         position: Point { x: 0.0, y: 0.0 },
         energy,
         harvest: HarvestSetup::Trace(TraceSetup {
@@ -71,7 +79,7 @@ pub(super) fn device_with(radio: RadioSettings, energy: EnergyModel, rows: &[u64
     };
     let rows = rows.iter().copied().map(micro).collect();
     let physics = Physics::new(
-        1,
+        SEED,
         MEASURED_FROM,
         sensing,
         radio,
@@ -93,6 +101,7 @@ fn sensing_device(initial: u64) -> (Machine, Physics) {
     (machine, physics)
 }
 
+/// An event at this distance from the device, m.
 pub(super) fn event_at(distance: f64) -> Stimulus {
     Stimulus {
         event: EventId(0),
@@ -111,7 +120,7 @@ pub(super) fn assert_information(report: &Report, expected: f64) {
 fn a_new_device_sleeps_with_its_initial_battery() {
     let (machine, _) = sleeping_device(500);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(500)));
-    assert_eq!(machine.id(), DeviceId(7));
+    assert_eq!(machine.id(), DEVICE);
 }
 
 #[test]
@@ -194,7 +203,7 @@ fn s1_to_s3_reports_and_pays_e_tx() {
     };
     assert_eq!(
         (report.device, report.tti, report.battery),
-        (DeviceId(7), Tti(0), micro(390))
+        (DEVICE, Tti(0), micro(390))
     );
     assert_information(&report, NEAR_INFORMATION);
     assert_eq!(
@@ -234,12 +243,12 @@ fn an_event_beyond_d_max_or_in_s4_is_not_sensed() {
 fn s2_to_s4_if_e_tx_exceeds_the_battery_which_is_drained() {
     let (mut machine, physics) = sensing_device(109);
     let failure = FailedTransmission {
-        device: DeviceId(7),
+        device: DEVICE,
         drained_energy: micro(99),
     };
     assert_eq!(
         machine.sense(Tti(0), &event_at(NEAR), &physics),
-        SenseOutcome::Failed(failure)
+        SenseOutcome::TransmissionFailed(failure)
     );
     assert_eq!((machine.state(), machine.battery()), (UNPOWERED, micro(0)));
     assert_eq!(
@@ -296,7 +305,7 @@ fn a_woken_device_beyond_d_max_reports_no_information() {
 fn a_wake_up_with_too_little_energy_for_a_report_drains_the_battery() {
     let (mut machine, physics) = sleeping_device(100);
     let failure = FailedTransmission {
-        device: DeviceId(7),
+        device: DEVICE,
         drained_energy: micro(99),
     };
     assert_eq!(

@@ -297,7 +297,7 @@ impl TrainingProgress for StopAfterEpisodes {
         self.0.fetch_sub(1, Ordering::Relaxed);
     }
 
-    fn stop(&self) -> bool {
+    fn should_stop(&self) -> bool {
         self.0.load(Ordering::Relaxed) == 0
     }
 }

@@ -3,7 +3,8 @@
 //! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI follows the device machine, with which a
 //! test compares the chain: the device harvests up to E_max and pays for δ. If it becomes active (a detection in S1, a
 //! wake-up in S4), it pays for the transmission. A cost that it cannot pay empties the battery. There is a transition
-//! matrix for each δ. The steady distribution at the start of a cycle is unchanged by t_DRX steps.
+//! matrix for each δ. The steady distribution at the start of a cycle is unchanged by t_DRX steps. Only
+//! [`super::compare`] solves the chain.
 
 use nalgebra::DVector;
 use nalgebra_sparse::ops::Op;
@@ -64,7 +65,7 @@ impl ChainInput {
 #[derive(Clone, Debug)]
 pub struct SteadyState {
     /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
-    pub levels: Vec<f64>,
+    pub level_probabilities: Vec<f64>,
     /// Number of transitions, one per TTI, that the iteration needed to reach the steady state.
     pub transitions_to_steady_state: u64,
     /// Σ |π P − π| over one cycle.
@@ -74,7 +75,7 @@ pub struct SteadyState {
 impl SteadyState {
     /// Probability of a level of at least `level`.
     pub(crate) fn probability_at_least(&self, level: usize) -> f64 {
-        self.levels.iter().skip(level).sum()
+        self.level_probabilities.iter().skip(level).sum()
     }
 }
 
@@ -85,11 +86,11 @@ impl SteadyState {
 pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<SteadyState, AnalysisError> {
     input.check()?;
     let cycle = CycleMatrices {
-        on: transition_matrix(lattice, input, lattice.e_idle),
-        off: transition_matrix(lattice, input, lattice.e_wur),
+        s1: transition_matrix(lattice, input, lattice.e_idle),
+        s4: transition_matrix(lattice, input, lattice.e_wur),
         input: *input,
     };
-    let level_count = lattice.levels();
+    let level_count = lattice.level_count();
     let mut distribution = DVector::from_element(level_count, 1.0 / level_count as f64);
     let mut buffer = DVector::zeros(level_count);
     let mut transitions_to_steady_state = 0;
@@ -102,11 +103,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
         if residual <= STEADY_RESIDUAL {
             // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
             // TTI.
-            let mut sum = DVector::zeros(level_count);
-            cycle.advance_cycle(&mut distribution, &mut buffer, |at_tti_end| sum += at_tti_end);
-            let levels = sum / f64::from(input.t_drx);
+            let mut phase_sum = DVector::zeros(level_count);
+            cycle.advance_cycle(&mut distribution, &mut buffer, |at_tti_end| phase_sum += at_tti_end);
+            let phase_mean = phase_sum / f64::from(input.t_drx);
             return Ok(SteadyState {
-                levels: levels.iter().copied().collect(),
+                level_probabilities: phase_mean.iter().copied().collect(),
                 transitions_to_steady_state,
                 residual,
             });
@@ -123,8 +124,10 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
 
 /// Transition matrices of one cycle.
 struct CycleMatrices {
-    on: CsrMatrix<f64>,
-    off: CsrMatrix<f64>,
+    /// Matrix of a TTI in S1.
+    s1: CsrMatrix<f64>,
+    /// Matrix of a TTI in S4.
+    s4: CsrMatrix<f64>,
     input: ChainInput,
 }
 
@@ -138,7 +141,7 @@ impl CycleMatrices {
         mut visit: impl FnMut(&DVector<f64>),
     ) {
         for phase in 0..self.input.t_drx {
-            let matrix = if phase < self.input.t_on { &self.on } else { &self.off };
+            let matrix = if phase < self.input.t_on { &self.s1 } else { &self.s4 };
             spmm_csr_dense(0.0, &mut *buffer, 1.0, Op::NoOp(matrix), Op::NoOp(&*distribution));
             std::mem::swap(distribution, buffer);
             visit(distribution);
@@ -149,7 +152,7 @@ impl CycleMatrices {
 /// Builds the transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level
 /// l after k.
 pub(super) fn transition_matrix(lattice: &Lattice, input: &ChainInput, cost: usize) -> CsrMatrix<f64> {
-    let n = lattice.levels();
+    let n = lattice.level_count();
     let mut matrix = CooMatrix::new(n, n);
     for level in 0..n {
         let after_arrival = (level + lattice.e_b).min(lattice.e_max);
@@ -181,18 +184,24 @@ mod tests {
     /// Probability of an arrival in a TTI; p in the comments below.
     const ARRIVAL: f64 = 0.3;
 
-    fn lattice_of(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
-        Lattice {
-            quanta_per_unit: 1,
-            e_max,
-            e_idle,
-            e_wur,
-            e_tx,
-            e_b,
-        }
-    }
+    const TWO_LEVELS: Lattice = Lattice {
+        quanta_per_unit: 1,
+        e_max: 1,
+        e_idle: 1,
+        e_wur: 0,
+        e_tx: 9,
+        e_b: 1,
+    };
+    const E_IDLE_OF_14: Lattice = Lattice {
+        e_max: 140,
+        e_idle: 14,
+        e_wur: 1,
+        e_tx: 40,
+        e_b: 35,
+        ..TWO_LEVELS
+    };
 
-    fn input(t_on: u32, t_drx: u32, activation: f64) -> ChainInput {
+    fn input_of(t_on: u32, t_drx: u32, activation: f64) -> ChainInput {
         ChainInput {
             t_on,
             t_drx,
@@ -203,8 +212,9 @@ mod tests {
 
     fn assert_steady_state(lattice: &Lattice, input: &ChainInput, expected: &[f64]) {
         let steady = steady_state(lattice, input).expect("a steady state");
-        assert_eq!(steady.levels.len(), expected.len());
-        for (level, (probability, expected_probability)) in steady.levels.iter().zip(expected).enumerate() {
+        assert_eq!(steady.level_probabilities.len(), expected.len());
+        let pairs = steady.level_probabilities.iter().zip(expected);
+        for (level, (probability, expected_probability)) in pairs.enumerate() {
             assert!(
                 (probability - expected_probability).abs() < 1e-9,
                 "level {level} of {input:?}: {steady:?}, expected {expected:?}"
@@ -215,39 +225,45 @@ mod tests {
     #[test]
     fn two_levels_equal_a_calculation_by_hand() {
         // S1 takes any charge; in S4, free of cost, an arrival fills the battery until the next S1.
-        assert_steady_state(
-            &lattice_of(1, 1, 0, 9, 1),
-            &input(1, 2, 0.0),
-            &[1.0 - ARRIVAL / 2.0, ARRIVAL / 2.0],
-        );
+        assert_steady_state(&TWO_LEVELS, &input_of(1, 2, 0.0), &[1.0 - ARRIVAL / 2.0, ARRIVAL / 2.0]);
         // One S1 in three: full after one S4 with p, after two with 1 − (1 − p)².
         let full = (ARRIVAL + 1.0 - (1.0 - ARRIVAL) * (1.0 - ARRIVAL)) / 3.0;
-        assert_steady_state(&lattice_of(1, 1, 0, 9, 1), &input(1, 3, 0.0), &[1.0 - full, full]);
+        assert_steady_state(&TWO_LEVELS, &input_of(1, 3, 0.0), &[1.0 - full, full]);
     }
 
     #[test]
     fn three_levels_equal_a_calculation_by_hand() {
         // Always in S1: an arrival of 2 pays for this TTI and the next, unless the next has its own arrival.
-        assert_steady_state(
-            &lattice_of(2, 1, 0, 9, 2),
-            &input(1, 1, 0.0),
-            &[1.0 - ARRIVAL, ARRIVAL, 0.0],
-        );
+        let arrivals_of_two = Lattice {
+            e_max: 2,
+            e_b: 2,
+            ..TWO_LEVELS
+        };
+        assert_steady_state(&arrivals_of_two, &input_of(1, 1, 0.0), &[1.0 - ARRIVAL, ARRIVAL, 0.0]);
         // Never in S1, no cost except E_Tx = 1: births with p (1 − a), deaths with (1 − p) a, from the full battery
         // with a.
         let a = 0.2;
         let (up, down) = (ARRIVAL * (1.0 - a), (1.0 - ARRIVAL) * a);
         let weights = [1.0, up / down, up / down * up / a];
         let sum: f64 = weights.iter().sum();
-        assert_steady_state(&lattice_of(2, 1, 0, 1, 1), &input(0, 1, a), &weights.map(|w| w / sum));
+        let reports_of_one = Lattice {
+            e_max: 2,
+            e_tx: 1,
+            ..TWO_LEVELS
+        };
+        assert_steady_state(&reports_of_one, &input_of(0, 1, a), &weights.map(|w| w / sum));
     }
 
     #[test]
     fn a_failed_transmission_empties_the_battery() {
         // With at most 3 quanta, E_Tx = 5 is never paid, so each activation empties the battery.
         let a = 0.4;
-        let lattice = lattice_of(3, 1, 0, 5, 1);
-        let matrix = DMatrix::from(&transition_matrix(&lattice, &input(0, 1, a), 0));
+        let lattice = Lattice {
+            e_max: 3,
+            e_tx: 5,
+            ..TWO_LEVELS
+        };
+        let matrix = DMatrix::from(&transition_matrix(&lattice, &input_of(0, 1, a), 0));
         let probabilities_into = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
         assert!(
             probabilities_into(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15),
@@ -260,9 +276,9 @@ mod tests {
 
     #[test]
     fn each_column_of_the_matrix_is_a_distribution() {
-        let lattice = lattice_of(140, 14, 1, 40, 35);
+        let lattice = E_IDLE_OF_14;
         for cost in [lattice.e_idle, lattice.e_wur] {
-            let matrix = DMatrix::from(&transition_matrix(&lattice, &input(1, 4, 0.1), cost));
+            let matrix = DMatrix::from(&transition_matrix(&lattice, &input_of(1, 4, 0.1), cost));
             for column in matrix.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-14 && column.min() >= 0.0);
             }
@@ -273,26 +289,29 @@ mod tests {
     /// the matrix of a whole cycle.
     #[test]
     fn the_steady_state_equals_a_dense_solution() {
-        let lattice = lattice_of(84, 14, 1, 40, 35);
-        let chain_input = input(2, 5, 0.05);
+        let lattice = Lattice {
+            e_max: 84,
+            ..E_IDLE_OF_14
+        };
+        let chain_input = input_of(2, 5, 0.05);
         let matrix = |cost| DMatrix::from(&transition_matrix(&lattice, &chain_input, cost));
-        let (on, off) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
-        let cycle = &off * &off * &off * &on * &on;
-        let level_count = lattice.levels();
+        let (s1, s4) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
+        let cycle = &s4 * &s4 * &s4 * &s1 * &s1;
+        let level_count = lattice.level_count();
         let mut system = cycle - DMatrix::identity(level_count, level_count);
         system.row_mut(level_count - 1).fill(1.0);
-        let mut right = DVector::zeros(level_count);
-        right[level_count - 1] = 1.0;
-        let start = system.lu().solve(&right).expect("regular");
+        let mut right_side = DVector::zeros(level_count);
+        right_side[level_count - 1] = 1.0;
+        let start = system.lu().solve(&right_side).expect("regular");
         let mut sum = DVector::zeros(level_count);
         let mut levels = start;
-        for step in [&on, &on, &off, &off, &off] {
+        for step in [&s1, &s1, &s4, &s4, &s4] {
             levels = step * levels;
             sum += &levels;
         }
         let steady = steady_state(&lattice, &chain_input).expect("a steady state");
         let difference: f64 = steady
-            .levels
+            .level_probabilities
             .iter()
             .zip(sum.iter())
             .map(|(probability, total)| (probability - total / 5.0).abs())
@@ -317,27 +336,25 @@ mod tests {
     #[test]
     fn invalid_inputs_are_refused_with_the_reason() {
         for (invalid, cause) in [
-            (input(3, 2, 0.0), "t_on = 3: must be at most t_DRX = 2"),
-            (input(0, 0, 0.0), "t_DRX = 0"),
-            (input(1, 2, 1.5), "activation = 1.5"),
+            (input_of(3, 2, 0.0), "t_on = 3: must be at most t_DRX = 2"),
+            (input_of(0, 0, 0.0), "t_DRX = 0"),
+            (input_of(1, 2, 1.5), "activation = 1.5"),
             (
                 ChainInput {
                     arrival: 0.0,
-                    ..input(1, 2, 0.0)
+                    ..input_of(1, 2, 0.0)
                 },
                 "Pr(arrival) = 0",
             ),
             (
                 ChainInput {
                     arrival: 1.0,
-                    ..input(1, 2, 0.0)
+                    ..input_of(1, 2, 0.0)
                 },
                 "Pr(arrival) = 1",
             ),
         ] {
-            let message = steady_state(&lattice_of(1, 1, 0, 1, 1), &invalid)
-                .expect_err(cause)
-                .to_string();
+            let message = steady_state(&TWO_LEVELS, &invalid).expect_err(cause).to_string();
             assert!(message.contains(cause), "{message}");
         }
     }

@@ -7,11 +7,13 @@
 //! 1 trials) / P, which tends to 1/P. It rises with P, the chance to *spend*. A larger harvest makes M, and hence the
 //! sum, smaller. The text names the regularised β_{1−P}(E + 1, E_max + 1). That value lies in [0, 1], but it is not the
 //! sum and does not depend on the harvest.
+//!
+//! [`super::compare`] evaluates it for `reveille analyse battery`, and `transitions` uses the sum as P_2,3.
 
 use statrs::function::beta::beta_reg;
 use statrs::function::gamma::ln_gamma;
 
-/// Largest M for which Eq. (8) is evaluated.
+/// Largest M for which Eq. (8) is evaluated; the fields of [`Eq8`] repeat it as 10⁶.
 const MAX_M: u64 = 1_000_000;
 
 /// Eq. (8) for one threshold and one P. The formulas are the paper's and must not be corrected. All values are NaN if P
@@ -26,9 +28,28 @@ pub struct Eq8 {
     pub printed_beta: f64,
 }
 
+/// Values in Eq. (8).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Eq8Input {
+    /// Threshold E, units.
+    pub e: f64,
+    /// Capacity E_max of the battery, units.
+    pub e_max: f64,
+    /// M, of [`highest_state`].
+    pub m: u64,
+    /// P = P_1,2 + P_4,2.
+    pub activation: f64,
+}
+
 impl Eq8 {
-    /// Evaluates Eq. (8) for the threshold `e` and the battery `e_max` (units), with M = `m` and P = `activation`.
-    pub fn new(e: f64, e_max: f64, m: u64, activation: f64) -> Self {
+    /// Evaluates Eq. (8) for `input`.
+    pub fn new(input: Eq8Input) -> Self {
+        let Eq8Input {
+            e,
+            e_max,
+            m,
+            activation,
+        } = input;
         if !(0.0..=1.0).contains(&activation) {
             return Self {
                 sum: f64::NAN,
@@ -86,6 +107,17 @@ fn sum_by_beta(e: f64, m: u64, p: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// Evaluates Eq. (8) with E_max = 100 units.
+    fn eq8_of(e: f64, m: u64, activation: f64) -> Eq8 {
+        let e_max = 100.0;
+        Eq8::new(Eq8Input {
+            e,
+            e_max,
+            m,
+            activation,
+        })
+    }
+
     /// Computes the sum with powers and binomial coefficients, without logarithms.
     fn direct_sum(e: u64, m: u64, p: f64) -> f64 {
         let mut total = 0.0;
@@ -100,7 +132,7 @@ mod tests {
     fn both_forms_equal_a_direct_sum() {
         for (e, m) in [(10, 111), (10, 23), (10, 12), (1, 111), (1, 12), (0, 5), (10, 9)] {
             for p in [1e-4, 0.01, 0.1, 0.37, 0.5, 0.9, 0.999] {
-                let eq8 = Eq8::new(e as f64, 100.0, m, p);
+                let eq8 = eq8_of(e as f64, m, p);
                 let expected = direct_sum(e, m, p);
                 for value in [eq8.sum, eq8.sum_by_beta] {
                     assert!(
@@ -115,11 +147,11 @@ mod tests {
     #[test]
     fn the_sum_of_eq_8_is_not_a_probability() {
         // The sum tends to 1/P, here 5 and 2.
-        assert!((Eq8::new(10.0, 100.0, 1000, 0.2).sum - 5.0).abs() < 1e-9);
-        let half = Eq8::new(10.0, 100.0, highest_state(100.0, 1.0, 0.1), 0.5);
+        assert!((eq8_of(10.0, 1000, 0.2).sum - 5.0).abs() < 1e-9);
+        let half = eq8_of(10.0, highest_state(100.0, 1.0, 0.1), 0.5);
         assert!((half.sum - 2.0).abs() < 1e-9, "{half:?}");
         // A larger arrival makes the sum smaller.
-        let by_e_b = [1.0, 5.0, 10.0].map(|e_b| Eq8::new(10.0, 100.0, highest_state(100.0, e_b, 0.1), 0.3).sum);
+        let by_e_b = [1.0, 5.0, 10.0].map(|e_b| eq8_of(10.0, highest_state(100.0, e_b, 0.1), 0.3).sum);
         assert!(by_e_b[0] > by_e_b[1] && by_e_b[1] > by_e_b[2], "{by_e_b:?}");
         // The function that the text names has another value.
         assert!((half.printed_beta - half.sum).abs() > 0.9);
@@ -128,19 +160,19 @@ mod tests {
     #[test]
     fn the_limits_of_p_are_defined_and_invalid_values_are_nan() {
         for p in [0.0, 1.0] {
-            let at_limit = Eq8::new(10.0, 100.0, 111, p);
+            let at_limit = eq8_of(10.0, 111, p);
             assert!(
                 (at_limit.sum - p).abs() < 1e-12 && (at_limit.sum_by_beta - p).abs() < 1e-12,
                 "{at_limit:?}"
             );
         }
-        assert!(Eq8::new(2.5, 100.0, 111, 0.1).sum.is_nan());
+        assert!(eq8_of(2.5, 111, 0.1).sum.is_nan());
         for p in [-0.1, 1.1, f64::NAN] {
-            assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
+            assert!(eq8_of(10.0, 111, p).sum.is_nan());
         }
         // A source that almost never yields anything: E_λ is nearly or exactly 0.
         for m in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
-            assert!(Eq8::new(10.0, 100.0, m, 0.1).sum.is_nan());
+            assert!(eq8_of(10.0, m, 0.1).sum.is_nan());
         }
         assert_eq!(highest_state(100.0, 5.0, 0.1), 23);
     }

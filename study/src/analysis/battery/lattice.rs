@@ -1,12 +1,12 @@
 //! Lattice with a common quantum for all energies of a device, so that its battery has finitely many levels: the states
-//! of [`super::chain`](super::steady_state), and the bins of measured levels. Only `reveille analyse battery` uses it.
+//! of the chain ([`super::steady_state`]), and the bins of measured levels. Only `reveille analyse battery` uses it.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
 
 use crate::analysis::AnalysisError;
 
-/// Resolution of the finest lattice tried, quanta a unit.
+/// Resolution of the finest lattice tried, quanta a unit; [`Lattice::new`] repeats it and the next constant.
 const MAX_QUANTA_PER_UNIT: u64 = 1000;
 /// Maximum distance of an energy from whole quanta, quanta. E_WuR, 71 429 micro-units, is 6·10⁻⁶ off one fourteenth.
 const MAX_ROUNDING_QUANTA: f64 = 1e-5;
@@ -76,12 +76,12 @@ impl Lattice {
     }
 
     /// Number of battery levels, the empty one included.
-    pub const fn levels(&self) -> usize {
+    pub const fn level_count(&self) -> usize {
         self.e_max + 1
     }
 
-    /// Level nearest to `energy`.
-    pub fn level(&self, energy: Energy) -> usize {
+    /// Level nearest to `energy`, at most the full battery.
+    pub fn nearest_level(&self, energy: Energy) -> usize {
         (to_quanta(energy, self.quanta_per_unit) as usize).min(self.e_max)
     }
 }
@@ -127,8 +127,8 @@ mod tests {
             e_b: 70,
         };
         assert_eq!(lattice, expected);
-        assert_eq!(lattice.level(Energy::from_micro(999_976)), 14);
-        assert_eq!(lattice.level(Energy::from_micro(100_000_000)), 1400);
+        assert_eq!(lattice.nearest_level(Energy::from_micro(999_976)), 14);
+        assert_eq!(lattice.nearest_level(Energy::from_micro(100_000_000)), 1400);
         let half_arrival = Lattice::new(&table_ii, Energy::from_micro(2_500_000)).expect("a lattice");
         assert_eq!((half_arrival.quanta_per_unit, half_arrival.e_b), (14, 35));
     }

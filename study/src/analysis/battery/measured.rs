@@ -56,11 +56,12 @@ pub(super) fn count_levels(
         &setups,
         Vec::new(),
     );
-    let count = |setup: &DeviceSetup| count_device_levels(setup, &physics, lattice, input, sample);
-    setups.par_iter().map(count).collect()
+    let count_device = |setup: &DeviceSetup| count_device_levels(setup, &physics, lattice, input, sample);
+    setups.par_iter().map(count_device).collect()
 }
 
-/// Counts one device. An event at its position makes it active in S1, a wake-up in S4.
+/// Counts one device. An event at its position makes it active in S1, a wake-up in S4: with `input.activation` in each
+/// TTI, as in the chain.
 fn count_device_levels(
     setup: &DeviceSetup,
     physics: &Physics,
@@ -68,7 +69,7 @@ fn count_device_levels(
     input: &ChainInput,
     sample: &SampleConfig,
 ) -> Vec<u64> {
-    let mut counts = vec![0; lattice.levels()];
+    let mut counts = vec![0; lattice.level_count()];
     let mut machine = Machine::new(setup, physics);
     let duty = DutyCycle {
         t_on: input.t_on,
@@ -97,7 +98,7 @@ fn count_device_levels(
             }
         }
         if k >= sample.warm_up {
-            counts[lattice.level(machine.battery())] += 1;
+            counts[lattice.nearest_level(machine.battery())] += 1;
         }
     }
     counts

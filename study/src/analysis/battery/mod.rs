@@ -4,7 +4,8 @@
 //! The chain uses a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines count in
 //! micro-units, where E_WuR is 6/14 of a micro-unit more than a quantum. Levels of both are rounded to the nearest
 //! quantum and put into bins of [`BatteryStudy::bin_width`] units, so that no bin border splits levels that are equal
-//! in the chain. Only `reveille analyse battery` and docs/analysis.md show the results.
+//! in the chain. Only `reveille analyse battery` and docs/analysis.md show the results. Names in errors, such as `e-b`
+//! and `bin`, are options of that command.
 
 mod chain;
 mod eq8;
@@ -13,7 +14,7 @@ mod measured;
 
 pub(crate) use chain::steady_state;
 pub use chain::{ChainInput, SteadyState};
-pub use eq8::{Eq8, highest_state};
+pub use eq8::{Eq8, Eq8Input, highest_state};
 pub use lattice::Lattice;
 pub use measured::SampleConfig;
 
@@ -67,6 +68,17 @@ pub struct Availability {
     pub eq8: Eq8,
 }
 
+/// A bin of battery levels, [`BatteryStudy::bin_width`] wide.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LevelBin {
+    /// Lower edge, units.
+    pub from: f64,
+    /// Probability by the chain.
+    pub chain: f64,
+    /// Share of the measured TTIs.
+    pub measured: f64,
+}
+
 /// Results of a study.
 #[derive(Clone, Debug)]
 pub struct BatteryComparison {
@@ -76,8 +88,8 @@ pub struct BatteryComparison {
     pub arrival: f64,
     /// Steady state of the chain.
     pub steady: SteadyState,
-    /// Bins: lower edge in units, probability by the chain, share of measured TTIs.
-    pub bins: Vec<(f64, f64, f64)>,
+    /// Distributions by the chain and by the machines, from the empty battery up.
+    pub bins: Vec<LevelBin>,
     /// Total variation distance between both distributions over these bins, `[0, 1]`.
     pub total_variation: f64,
     /// Mean battery by the chain, units.
@@ -97,28 +109,30 @@ pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError>
     let lattice = Lattice::new(&study.model, study.e_b)?;
     let chain_input = study.chain_input();
     let steady = steady_state(&lattice, &chain_input)?;
-    let bins = LevelBins::new(&lattice, study.bin_width)?;
+    let level_bins = LevelBins::new(&lattice, study.bin_width)?;
     let counts_by_device = measured::count_levels(&study.model, study.e_b, &lattice, &chain_input, &study.sample);
     let shares: Vec<Vec<f64>> = counts_by_device.iter().map(|counts| shares_of_counts(counts)).collect();
-    let pooled_shares: Vec<f64> = (0..lattice.levels())
+    let pooled_shares: Vec<f64> = (0..lattice.level_count())
         .map(|level| shares.iter().map(|device_shares| device_shares[level]).sum::<f64>() / shares.len() as f64)
         .collect();
-    let (by_chain, by_devices) = (bins.sum_levels(&steady.levels), bins.sum_levels(&pooled_shares));
-    let distance: f64 = by_chain.iter().zip(&by_devices).map(|(a, b)| (a - b).abs()).sum();
-    let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin_width);
+    let by_chain = level_bins.sum_levels(&steady.level_probabilities);
+    let by_devices = level_bins.sum_levels(&pooled_shares);
+    let bin = |(index, (chain, measured)): (usize, (f64, f64))| LevelBin {
+        from: index as f64 * study.bin_width,
+        chain,
+        measured,
+    };
+    let bins: Vec<LevelBin> = by_chain.into_iter().zip(by_devices).enumerate().map(bin).collect();
+    let distance: f64 = bins.iter().map(|bin| (bin.chain - bin.measured).abs()).sum();
     let availability = |threshold: Energy| study.availability(&lattice, threshold, &steady, &shares);
-    let mean = |probabilities: &[f64]| mean_level(probabilities) / lattice.quanta_per_unit as f64;
+    let mean_battery = |probabilities: &[f64]| mean_level(probabilities) / lattice.quanta_per_unit as f64;
     Ok(BatteryComparison {
         lattice,
         arrival: chain_input.arrival,
         total_variation: distance / 2.0,
-        bins: edges
-            .zip(by_chain)
-            .zip(by_devices)
-            .map(|((edge, a), b)| (edge, a, b))
-            .collect(),
-        chain_mean: mean(&steady.levels),
-        measured_mean: Estimate::from_values_or_nan(shares.iter().map(|device_shares| mean(device_shares))),
+        bins,
+        chain_mean: mean_battery(&steady.level_probabilities),
+        measured_mean: Estimate::from_values_or_nan(shares.iter().map(|device_shares| mean_battery(device_shares))),
         availability: [study.model.e_tx, study.model.e_idle].map(availability),
         steady,
     })
@@ -164,7 +178,7 @@ impl BatteryStudy {
         steady: &SteadyState,
         shares: &[Vec<f64>],
     ) -> Availability {
-        let level = lattice.level(threshold);
+        let level = lattice.nearest_level(threshold);
         let m = highest_state(self.model.e_max.units(), self.e_b.units(), self.lambda);
         Availability {
             threshold: threshold.units(),
@@ -174,12 +188,17 @@ impl BatteryStudy {
                     .iter()
                     .map(|device_shares| device_shares.iter().skip(level).sum()),
             ),
-            eq8: Eq8::new(threshold.units(), self.model.e_max.units(), m, self.activation),
+            eq8: Eq8::new(Eq8Input {
+                e: threshold.units(),
+                e_max: self.model.e_max.units(),
+                m,
+                activation: self.activation,
+            }),
         }
     }
 }
 
-/// Bins of a distribution of levels.
+/// Assignment of levels to bins.
 struct LevelBins {
     /// Bin of each level.
     bin_of_level: Vec<usize>,
@@ -197,7 +216,7 @@ impl LevelBins {
         // Up to rounding, a level that is a multiple of the width begins a bin.
         let bin_of = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;
         Ok(Self {
-            bin_of_level: (0..lattice.levels()).map(bin_of).collect(),
+            bin_of_level: (0..lattice.level_count()).map(bin_of).collect(),
         })
     }
 
@@ -264,8 +283,8 @@ mod tests {
                     "E_B {e_b}, duty cycle {t_on}/{t_drx}: total variation {}",
                     comparison.total_variation
                 );
-                assert!((comparison.bins.iter().map(|bin| bin.1).sum::<f64>() - 1.0).abs() < 1e-9);
-                assert!((comparison.bins.iter().map(|bin| bin.2).sum::<f64>() - 1.0).abs() < 1e-9);
+                assert!((comparison.bins.iter().map(|bin| bin.chain).sum::<f64>() - 1.0).abs() < 1e-9);
+                assert!((comparison.bins.iter().map(|bin| bin.measured).sum::<f64>() - 1.0).abs() < 1e-9);
                 for availability in comparison.availability {
                     assert!(
                         (availability.chain - availability.measured.mean).abs() <= 0.02,

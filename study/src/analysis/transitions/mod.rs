@@ -14,7 +14,7 @@
 mod closed_form;
 mod measured;
 
-pub use closed_form::{ClosedFormTerms, PAIRS, evaluate_printed};
+pub use closed_form::{ClosedFormInputs, PAIRS, evaluate_printed};
 pub use measured::TransitionCounts;
 
 use reveille_bs::scenario::Scenario;
@@ -34,11 +34,12 @@ pub struct Transition {
     pub from: usize,
     /// State after, n.
     pub to: usize,
-    /// Printed form: the mean over devices and deployments, except those for which it is 0/0.
+    /// Printed form: the mean over devices and deployments, except those for which it is NaN: 0/0, or an undefined
+    /// Eq. (8).
     pub printed: f64,
     /// Minimum and maximum of the printed form.
     pub printed_range: (f64, f64),
-    /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or 0/0.
+    /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or NaN.
     pub improper_count: usize,
     /// Share of the visits if δ alone decides (no events, no failures), over all devices; `None` for other pairs than
     /// S1 and S4, and without a visit.
@@ -70,16 +71,19 @@ pub struct Transitions {
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisError> {
     check_seeds(seeds)?;
     if !scenario.radio.is_perfect() {
-        let requirement = "must have no losses, false wake-ups or latency: the printed forms assume a perfect radio, and \
-                           so does the count; leave out the fields of `radio`";
+        let requirement = "must have no losses, false wake-ups or latency: the printed forms assume a perfect radio, \
+                           and so does the count; leave out the fields of `radio`";
         return Err(AnalysisError::invalid("radio", &"impaired", requirement));
     }
     let runs = map_seeds(scenario, seeds, |seeded| {
         let deployment = Deployment::new(seeded);
         let (counts, duties) = measured::count_run(seeded, &deployment);
         let classes = closed_form::device_classes(seeded);
-        let terms = closed_form::device_terms(seeded, &deployment.positions(), &duties, &classes);
-        let printed: Vec<_> = terms.iter().map(|t| evaluate_printed(t, seeded.events.alpha)).collect();
+        let inputs = closed_form::device_inputs(seeded, &deployment.positions(), &duties, &classes);
+        let printed: Vec<_> = inputs
+            .iter()
+            .map(|i| evaluate_printed(i, seeded.events.alpha))
+            .collect();
         (counts, duties, printed)
     });
     let mut pooled = TransitionCounts::default();
@@ -98,7 +102,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             from,
             to,
             printed: Estimate::from_values_or_nan(defined.clone()).mean,
-            // `min` and `max` ignore NaN, so NaN remains only if the form is 0/0 for all devices.
+            // `min` and `max` ignore NaN, so NaN remains only if the form is NaN for all devices.
             printed_range: (
                 defined.clone().fold(f64::NAN, f64::min),
                 defined.fold(f64::NAN, f64::max),

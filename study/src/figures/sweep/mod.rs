@@ -1,8 +1,10 @@
 //! Figures of arbitrary sweeps: a metric against a scenario field, with a line for each value of another field.
 //!
 //! A [`SweepFigureSpec`] names the fields and the metric. [`SweepFigureSpec::draw`] draws a figure for each combination
-//! of the values of all other fields in which the runs differ. The caption names these values. The figures show nothing
-//! from the paper. The columns of the CSV are a file format.
+//! of the values of all other fields in which the runs differ. The caption names these values. The figures show
+//! nothing from the paper. `reveille figures`, also without `sweep`, and the Python package draw them.
+//!
+//! The columns of the CSV are a file format, and users' scripts read the file names. Names of fields are parts of both.
 
 mod points;
 
@@ -10,7 +12,7 @@ use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
 
-use self::points::{SweepPoint, points};
+use self::points::{SweepPoint, sweep_points};
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
 use super::results::Results;
@@ -23,10 +25,11 @@ pub use self::points::{DEVICES, POLICY, SweptNumbers};
 
 /// Largest number of figures per request.
 const MAX_FIGURES: usize = 24;
-/// Largest number of lines in a figure, unless the lines are policies.
+/// Largest number of lines in a figure, unless the lines are policies: the number of styles of
+/// [`Style::from_palette`].
 const MAX_LINES: usize = 6;
 
-/// Specification of a sweep figure.
+/// Specification of a sweep figure. Fields have the names that [`canonical_field`] returns.
 #[derive(Clone, Debug)]
 pub struct SweepFigureSpec {
     /// Field along x.
@@ -49,7 +52,7 @@ pub(crate) type Facet = Vec<(String, String)>;
 /// A sweep figure.
 #[derive(Clone, Debug)]
 pub struct SweepFigure {
-    /// Fields with their values that distinguish the figure from the others.
+    /// Facet of the figure; empty if the runs differ in no other field.
     pub facet: Facet,
     /// The chart.
     pub chart: Chart,
@@ -73,19 +76,19 @@ impl SweepFigureSpec {
                 known,
             });
         }
-        let points = self.select_points(points(results, &self.line_field))?;
+        let points = self.select_points(sweep_points(results, &self.line_field))?;
         let other_fields = facet_fields(&points, [&self.x_field, &self.line_field]);
         let mut groups: Vec<(Facet, Vec<&SweepPoint<'_>>)> = Vec::new();
         for point in &points {
-            let own_facet: Facet = other_fields
+            let facet: Facet = other_fields
                 .iter()
                 .map(|field| (field.clone(), point.value(field).unwrap_or("–").to_owned()))
                 .collect();
             let count = groups.len();
-            match groups.iter_mut().find(|(known, _)| *known == own_facet) {
+            match groups.iter_mut().find(|(known, _)| *known == facet) {
                 Some((_, group)) => group.push(point),
                 None if count == MAX_FIGURES => return Err(self.too_many_figures(&other_fields)),
-                None => groups.push((own_facet, vec![point])),
+                None => groups.push((facet, vec![point])),
             }
         }
         let figures = groups.into_iter().map(|(facet, group)| self.draw_facet(facet, &group));
@@ -125,7 +128,7 @@ impl SweepFigureSpec {
             let is_known = points.iter().any(|point| point.value(field).is_some());
             is_known.then_some(()).ok_or_else(|| FigureError::UnknownField {
                 name: field.to_owned(),
-                known: fields(&points).join(", "),
+                known: field_names(&points).join(", "),
             })
         };
         check_field(&self.x_field)?;
@@ -137,17 +140,17 @@ impl SweepFigureSpec {
         }
         for (field, value) in &self.filter {
             check_field(field)?;
-            if !points.iter().any(|point| is_value(point.value(field), value)) {
+            if !points.iter().any(|point| equals(point.value(field), value)) {
                 return Err(FigureError::UnknownValue {
                     field: field.clone(),
                     value: value.clone(),
-                    known: values(&points, field).join(", "),
+                    known: distinct_values(&points, field).join(", "),
                 });
             }
         }
         let is_wanted = |point: &SweepPoint<'_>| {
             let mut filters = self.filter.iter();
-            filters.all(|(field, value)| is_value(point.value(field), value)) && point.value(&self.x_field).is_some()
+            filters.all(|(field, value)| equals(point.value(field), value)) && point.value(&self.x_field).is_some()
         };
         let points: Vec<SweepPoint<'r>> = points.into_iter().filter(is_wanted).collect();
         if points.is_empty() {
@@ -215,7 +218,7 @@ impl SweepFigureSpec {
             let estimate = point.metric_estimate(&self.metric)?;
             Some(ChartPoint {
                 x: *x,
-                y: estimate.estimate.mean,
+                y: estimate.mean_estimate.mean,
                 y_half_width: estimate.half_width(),
                 x_half_width: f64::NAN,
             })
@@ -341,10 +344,10 @@ impl SweepFigureSpec {
             for (x, point) in line {
                 if let Some(metric_estimate) = point.metric_estimate(&self.metric) {
                     let (mean, half_width) = (
-                        metric_estimate.estimate.mean,
+                        metric_estimate.mean_estimate.mean,
                         half_width_cell(metric_estimate.half_width()),
                     );
-                    let (name, runs) = (csv_cell(name), metric_estimate.estimate.runs);
+                    let (name, runs) = (csv_cell(name), metric_estimate.mean_estimate.runs);
                     out.push_str(&row(
                         &values,
                         &format!("{name},{x},{},{mean},{half_width},{runs}", self.metric),
@@ -367,7 +370,8 @@ pub fn note_on_several(figures: &[SweepFigure]) -> Option<String> {
     ))
 }
 
-/// Returns the canonical name of a field. `n` and `policy.name` are the names used in tables and scenarios.
+/// Returns the name of a field in figures. `n` and `policy.name` are its names in tables and scenarios; renamed fields
+/// have their current name.
 pub fn canonical_field(field: &str) -> String {
     match field {
         "n" => DEVICES.to_owned(),
@@ -390,7 +394,8 @@ fn x_scale(values: impl Iterator<Item = f64> + Clone, is_log: bool) -> Scale {
     }
 }
 
-/// Creates the scale of a logarithmic y axis, with an extra decade at the bottom if there are zero values.
+/// Creates the scale of a logarithmic y axis, with an extra decade at the bottom if there are zero values, as in
+/// `study`.
 fn log_y_scale(values: impl Iterator<Item = f64>, has_zero: bool) -> Scale {
     let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 1.0 });
     let (from, to) = scale.ends();
@@ -401,8 +406,8 @@ fn log_y_scale(values: impl Iterator<Item = f64>, has_zero: bool) -> Scale {
     }
 }
 
-/// Returns whether `value` equals `wanted`, as a number or as text.
-fn is_value(value: Option<&str>, wanted: &str) -> bool {
+/// Returns whether `value` equals `wanted`, as a number or as text; false without a value.
+fn equals(value: Option<&str>, wanted: &str) -> bool {
     let Some(value) = value else { return false };
     let is_same_number = || {
         let (a, b) = (value.parse::<f64>().ok()?, wanted.parse::<f64>().ok()?);
@@ -412,18 +417,18 @@ fn is_value(value: Option<&str>, wanted: &str) -> bool {
 }
 
 /// Returns the names of all fields of `points`, in order of first occurrence.
-fn fields(points: &[SweepPoint<'_>]) -> Vec<String> {
-    let mut fields: Vec<String> = Vec::new();
+fn field_names(points: &[SweepPoint<'_>]) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
     for (field, _) in points.iter().flat_map(|point| &point.fields) {
-        if !fields.contains(field) {
-            fields.push(field.clone());
+        if !names.contains(field) {
+            names.push(field.clone());
         }
     }
-    fields
+    names
 }
 
 /// Returns the values of `field` among `points`, in order of first occurrence.
-fn values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
+fn distinct_values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
     let mut values: Vec<String> = Vec::new();
     for value in points.iter().filter_map(|point| point.value(field)) {
         if !values.iter().any(|known| known == value) {
@@ -433,13 +438,15 @@ fn values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
     values
 }
 
-/// Returns the fields in which `points` differ, except `drawn`.
-fn facet_fields(points: &[SweepPoint<'_>], drawn: [&String; 2]) -> Vec<String> {
+/// Returns the fields in which `points`, at least one, differ, except `drawn_fields`.
+fn facet_fields(points: &[SweepPoint<'_>], drawn_fields: [&String; 2]) -> Vec<String> {
     let differs = |field: &String| {
-        // The index is valid: `select_points` has rejected an empty list.
+        // `select_points` has rejected an empty list.
         let first = points[0].value(field);
         points.iter().any(|point| point.value(field) != first)
     };
-    let all = fields(points).into_iter();
-    all.filter(|field| !drawn.contains(&field) && differs(field)).collect()
+    let names = field_names(points).into_iter();
+    names
+        .filter(|field| !drawn_fields.contains(&field) && differs(field))
+        .collect()
 }

@@ -1,5 +1,5 @@
-//! Cells of the merged tables as points with named fields, the input of [`super::SweepFigureSpec`]. [`DEVICES`] and
-//! [`POLICY`] are names in options, file names and CSV files.
+//! Cells of the merged tables as points with named fields, the input of [`super::SweepFigureSpec`]. The names that
+//! `point_fields` adds to the fields of scenarios are values of options, and parts of file names and CSV files.
 
 use reveille_lab::metric_estimate::MetricEstimate;
 
@@ -15,7 +15,7 @@ pub(super) struct SweepPoint<'r> {
     condition: &'r RunCondition,
     policy: &'r str,
     n: u32,
-    /// All fields of the cell with their values.
+    /// All fields of the cell that can be drawn, with their values.
     pub fields: Vec<(String, String)>,
 }
 
@@ -45,7 +45,7 @@ impl SweepPoint<'_> {
 
 /// Returns the cells of `results` as points. If lines are policies, a policy with another ranking of wake-ups gets its
 /// own line. Otherwise the ranking is an ordinary field.
-pub(super) fn points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoint<'r>> {
+pub(super) fn sweep_points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoint<'r>> {
     let conditions = if line_field == POLICY {
         &results.conditions
     } else {
@@ -59,7 +59,7 @@ pub(super) fn points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoi
                     condition,
                     policy,
                     n,
-                    fields: fields(condition, policy, n),
+                    fields: point_fields(condition, policy, n),
                 });
             }
         }
@@ -67,7 +67,7 @@ pub(super) fn points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoi
     points
 }
 
-fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String)> {
+fn point_fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String)> {
     let of_every_cell = [
         ("preset", condition.preset.clone()),
         (POLICY, policy.to_owned()),
@@ -93,7 +93,7 @@ pub struct SweptNumbers {
 }
 
 impl SweptNumbers {
-    /// Returns the fields of `results` that take several values, all of them numbers.
+    /// Returns the swept fields of `results` that take several values, all of them numbers.
     pub fn of_results(results: &Results) -> Vec<Self> {
         let mut swept: Vec<(&str, Vec<Option<f64>>)> = Vec::new();
         for (path, value) in results.conditions.iter().flat_map(|condition| &condition.swept_fields) {

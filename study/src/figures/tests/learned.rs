@@ -1,5 +1,5 @@
 //! Tests of figures of q-learning's tables and learning curves, and of information against energy. Cells are compared
-//! with the values that the tables are filled with.
+//! with the values that `learned_tables` fills in; limits of files and rows are literals of `learning`.
 
 use reveille_bs::policy::q_learning::learned::{
     AREA_BUCKETS, BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet,
@@ -22,8 +22,8 @@ fn untrained(n: u32, weights: &QWeights) -> TableSet {
     )
 }
 
-/// Returns tables for each of `sizes`, with some learned cells and a learning curve of `episodes` points.
-fn learned_tables(sizes: &[u32], episodes: u64) -> LearnedTables {
+/// Returns tables for each of these N, with some learned cells and a learning curve of `episodes` points.
+fn learned_tables(device_counts: &[u32], episodes: u64) -> LearnedTables {
     let weights = QWeights {
         mu1: 14.0,
         mu2: 1.6,
@@ -66,12 +66,12 @@ fn learned_tables(sizes: &[u32], episodes: u64) -> LearnedTables {
             seed: 1,
         },
         site: TrainingSite::from_site(&scenario_with(&[]).site()),
-        entries: sizes.iter().map(entry).collect(),
+        entries: device_counts.iter().map(entry).collect(),
     }
 }
 
-fn named_tables(name: &str, sizes: &[u32], episodes: u64) -> learning::NamedTables {
-    (name.to_owned(), learned_tables(sizes, episodes))
+fn named_tables(name: &str, device_counts: &[u32], episodes: u64) -> learning::NamedTables {
+    (name.to_owned(), learned_tables(device_counts, episodes))
 }
 
 #[test]
@@ -87,16 +87,16 @@ fn learning_curves_have_the_n_and_window_of_each_row() {
     ] {
         let scene = learning::scene(&sources).expect("a picture");
         check_properties("learning", &scene);
-        let mut sizes: Vec<u32> = sources
+        let mut device_counts: Vec<u32> = sources
             .iter()
             .flat_map(|(_, tables)| &tables.entries)
             .map(|entry| entry.devices)
             .collect();
-        sizes.sort_unstable();
-        sizes.dedup();
+        device_counts.sort_unstable();
+        device_counts.dedup();
         let text = super::svg::svg(&scene, "learning");
         assert!(text.contains("μ1 = 14, μ2 = 1.6, ζ = 0.95"), "{}", scene.description);
-        for n in sizes {
+        for n in device_counts {
             let name = format!("N = {n}");
             assert!(
                 scene
@@ -138,8 +138,8 @@ fn missing_curves_and_too_many_files_are_refused() {
     );
     let seven_files: Vec<_> = (0..7).map(|_| named_tables("a.json", &[10], 2)).collect();
     assert!(error_of(&seven_files).contains("7 files"));
-    let sizes: Vec<u32> = (1..=41).collect();
-    assert!(error_of(&[named_tables("a.json", &sizes, 2)]).contains("41 tables of different N"));
+    let device_counts: Vec<u32> = (1..=41).collect();
+    assert!(error_of(&[named_tables("a.json", &device_counts, 2)]).contains("41 tables of different N"));
 }
 
 #[test]

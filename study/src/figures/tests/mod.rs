@@ -1,5 +1,16 @@
-//! Tests of whole figures. `check_properties` covers what all have in common: content within the canvas, legible text,
+//! Tests of whole figures. `check_properties` covers their common properties: content within the canvas, legible text,
 //! valid and reproducible files. The tests compare values and captions with the tables; appearance is not checked.
+//! Expected marks, hatched ranges and their numbers follow from `study/src/claims`. `robustness.rs` and several files
+//! of shared parts have tests too. Only `tests/program/figures.rs` draws `attention`.
+//!
+//! | file | figures |
+//! |---|---|
+//! | this one | of the paper, deployments, timelines, missed events; merged tables |
+//! | `learned` | learning curves, q-learning tables, `pareto` |
+//! | `sweep_spec` | any metric against any field |
+//! | `swept` | of the paper for sweeps and rankings |
+//! | `traded` | `delay`, energy floor, `front` |
+//! | `tuned` | tuning |
 
 use std::path::Path;
 
@@ -16,7 +27,7 @@ use reveille_common::totals::MissCause;
 use reveille_lab::table::{Hash, Table};
 
 mod learned;
-mod own;
+mod sweep_spec;
 mod swept;
 mod traded;
 mod tuned;
@@ -51,7 +62,7 @@ fn figure_named(name: &str) -> study::PaperFigure {
 }
 
 /// Returns the texts of a figure.
-fn texts(scene: &Scene) -> Vec<&str> {
+fn texts_of(scene: &Scene) -> Vec<&str> {
     let items = scene.items.iter();
     items
         .filter_map(|item| match item {
@@ -65,11 +76,15 @@ fn texts(scene: &Scene) -> Vec<&str> {
 /// a stored picture.
 fn check_properties(name: &str, scene: &Scene) {
     assert!(
-        scene.outside().is_empty(),
+        scene.items_outside().is_empty(),
         "{name} reaches beyond the canvas: {:?}",
-        scene.outside()
+        scene.items_outside()
     );
-    assert!(scene.overlapping().is_empty(), "{name}: {:?}", scene.overlapping());
+    assert!(
+        scene.overlapping_texts().is_empty(),
+        "{name}: {:?}",
+        scene.overlapping_texts()
+    );
     for item in &scene.items {
         if let SceneItem::Text(text) = item {
             assert!(text.size >= 8.0, "{name}: {text:?} is too small");
@@ -79,9 +94,9 @@ fn check_properties(name: &str, scene: &Scene) {
             );
         }
     }
-    let text = svg::svg(scene, name);
-    assert_eq!(text, svg::svg(scene, name), "{name}: other bytes");
-    let tree = roxmltree::Document::parse(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let svg_text = svg::svg(scene, name);
+    assert_eq!(svg_text, svg::svg(scene, name), "{name}: other bytes");
+    let tree = roxmltree::Document::parse(&svg_text).unwrap_or_else(|error| panic!("{name}: {error}"));
     let root = tree.root_element();
     assert_eq!(root.tag_name().name(), "svg");
     let ids: Vec<&str> = tree.descendants().filter_map(|node| node.attribute("id")).collect();
@@ -341,19 +356,12 @@ fn device_classes_are_marked() {
     let scenario = parse(text, "classes.toml", Path::new(""), &[])
         .expect("a scenario")
         .scenario;
-    let texts = |scene: &Scene| -> Vec<String> {
-        let texts = scene.items.iter().filter_map(|item| match item {
-            SceneItem::Text(text) => Some(text.text.clone()),
-            SceneItem::Shape(_) => None,
-        });
-        texts.collect()
-    };
     let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
     let marked = deployment::scene(&scenario, &event_scene);
     check_properties("classes", &marked);
-    let legend = texts(&marked);
+    let legend = texts_of(&marked);
     for entry in ["class weak (9), without a ring", "class strong (3)"] {
-        assert!(legend.iter().any(|text| text == entry), "{entry}: {legend:?}");
+        assert!(legend.contains(&entry), "{entry}: {legend:?}");
     }
     let purple = Paint::Colour(super::style::PURPLE);
     let rings = marked.items.iter().filter(|item| match item {
@@ -370,13 +378,13 @@ fn device_classes_are_marked() {
     let shown = timeline::Timeline::from_scenario(&scenario, &[of_class(0), of_class(1)], 30, 60).expect("a timeline");
     let drawn = timeline::scene(&scenario, &shown);
     check_properties("class-timeline", &drawn);
-    let drawn = texts(&drawn);
+    let drawn_texts = texts_of(&drawn);
     for entry in [
         "class weak: E_max 100, E_idle 1, E_WuR 0.00003, E_Tx 10 units",
         "class strong: E_max 0.5, E_idle 0.1, E_WuR 0.0714, E_Tx 0.5 units",
         "0.25",
     ] {
-        assert!(drawn.iter().any(|text| text == entry), "{entry}: {drawn:?}");
+        assert!(drawn_texts.contains(&entry), "{entry}: {drawn_texts:?}");
     }
 }
 
@@ -543,7 +551,7 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
     );
     let causes = MissCause::ALL.map(Some).into_iter().chain([None]);
     for (number, cause) in (0_u64..).zip(causes) {
-        run_misses.starts.push(Tti(1000 + number));
+        run_misses.counted_starts.push(Tti(1000 + number));
         for event in 0..=number {
             run_misses.missed.push(MissedEvent {
                 event,
@@ -557,7 +565,7 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
     }
     let scene = misses::scene(&run_misses);
     check_properties("misses", &scene);
-    let texts = texts(&scene);
+    let texts = texts_of(&scene);
     for (cause, count) in run_misses.causes() {
         let entry = format!("{} ({count})", crate::misses::cause_name(cause));
         assert!(texts.contains(&entry.as_str()), "no {entry}: {texts:?}");

@@ -1,4 +1,5 @@
-//! Tests of the figures of the paper for sweeps over a field, and over the ranking of wake-ups.
+//! Tests of the figures of the paper for sweeps over a field, and over the ranking of wake-ups. Also of
+//! [`SweptNumbers`] and of the groups of conditions for trade-offs.
 
 use reveille_common::declare::NoFiles;
 

@@ -1,7 +1,8 @@
-//! Tests of the figure of a tuning: legibility with crowded points and with a flat objective.
+//! Tests of the figure of a tuning: legibility with crowded points and with a flat objective. The header of the history
+//! repeats the names and forms that `TuningPlan::header` writes.
 
 use super::super::tuning;
-use super::{check_properties, texts};
+use super::{check_properties, texts_of};
 use reveille_lab::tuning::{Evaluation, History, Ranges, Surface, TuningPoint, WeightPair};
 
 /// Returns a history with the values of `objective` at `pairs`.
@@ -60,7 +61,7 @@ fn a_tuning_with_crowded_pairs_is_legible() {
     let pairs: Vec<WeightPair> = spread.into_iter().chain(crowd).collect();
     let scene = tuning::scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
     check_properties("tuning", &scene);
-    let texts = texts(&scene);
+    let texts = texts_of(&scene);
     for number in 1..=pairs.len() {
         assert!(
             texts.contains(&number.to_string().as_str()),

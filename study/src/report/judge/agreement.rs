@@ -1,5 +1,5 @@
 //! Agreement of findings with a statement: rules 2 and 3 of [`super`], for the means and for all values in their
-//! intervals. The tolerances are part of the rule that [`super`] states.
+//! intervals. The tolerances are part of the rule; [`super`] lists the other places that state it.
 
 use super::finding::Finding;
 use crate::claims::Statement;
@@ -14,7 +14,7 @@ const TREND_TOLERANCE: f64 = 0.1;
 /// Allowance for binary rounding at the limit of 20 %.
 const ROUNDING: f64 = 1e-9;
 
-/// Level of an agreement.
+/// Level of an agreement, from the worst to the best: minima and maxima of levels rely on this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AgreementLevel {
     /// No agreement.
@@ -51,12 +51,13 @@ impl Agreement {
                 others.push(finding.other_policy);
             }
         }
-        let rows = others.into_iter().map(|other| -> Vec<Finding> {
+        let by_policy = others.into_iter().map(|other| -> Vec<Finding> {
             let of_policy = findings.iter().filter(|finding| finding.other_policy == other);
             of_policy.copied().collect()
         });
-        rows.filter(|row| row.len() > 1)
-            .map(|row| Self::over_all_n(statement, &row))
+        by_policy
+            .filter(|of_policy| of_policy.len() > 1)
+            .map(|of_policy| Self::over_all_n(statement, &of_policy))
             .reduce(Self::worse)
     }
 
@@ -65,7 +66,7 @@ impl Agreement {
         self.worst == self.best
     }
 
-    /// Agreement with both of two statements.
+    /// Agreement with both of two statements: the worse level of each field.
     fn worse(self, other: Self) -> Self {
         Self {
             of_means: self.of_means.min(other.of_means),
@@ -74,7 +75,7 @@ impl Agreement {
         }
     }
 
-    /// Computes the agreement of one finding with a statement on each N.
+    /// Computes the agreement of one finding with a statement on each N, which has a range.
     fn at_one_n(statement: Statement, finding: &Finding) -> Self {
         let Finding { value, low, high, .. } = *finding;
         let level = |x: f64| agreement_level(statement, x, finding.zero_limit);
@@ -89,14 +90,15 @@ impl Agreement {
         }
     }
 
-    /// Computes the agreement with a statement on several N together. `row` is not empty and in ascending order of N.
-    fn over_all_n(statement: Statement, row: &[Finding]) -> Self {
+    /// Computes the agreement with a statement on several N together, which has no range. `of_policy` are the findings
+    /// against one policy, not empty and in ascending order of N.
+    fn over_all_n(statement: Statement, of_policy: &[Finding]) -> Self {
         match statement {
-            Statement::Largest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::max)),
-            Statement::Smallest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::min)),
-            Statement::Constant => Self::constancy(row),
-            Statement::Falls => Self::trend(row, |x| x),
-            Statement::Rises => Self::trend(row, |x| -x),
+            Statement::Largest(v) => Self::at_one_n(Statement::About(v), &extreme_finding(of_policy, f64::max)),
+            Statement::Smallest(v) => Self::at_one_n(Statement::About(v), &extreme_finding(of_policy, f64::min)),
+            Statement::Constant => Self::constancy(of_policy),
+            Statement::Falls => Self::trend(of_policy, |x| x),
+            Statement::Rises => Self::trend(of_policy, |x| -x),
             Statement::About(_) | Statement::Between(..) | Statement::Below(_) | Statement::Above(_) => Self {
                 of_means: AgreementLevel::No,
                 worst: AgreementLevel::No,
@@ -105,11 +107,11 @@ impl Agreement {
         }
     }
 
-    fn constancy(row: &[Finding]) -> Self {
-        let over =
-            |of: fn(&Finding) -> f64, pick: fn(f64, f64) -> f64, start: f64| row.iter().map(of).fold(start, pick);
-        let largest = |of| over(of, f64::max, f64::NEG_INFINITY);
-        let smallest = |of| over(of, f64::min, f64::INFINITY);
+    /// Computes the agreement with a constant level: [`AgreementLevel::Yes`] or [`AgreementLevel::No`].
+    fn constancy(of_policy: &[Finding]) -> Self {
+        let values = |value_of: fn(&Finding) -> f64| of_policy.iter().map(value_of);
+        let largest = |value_of| values(value_of).fold(f64::NEG_INFINITY, f64::max);
+        let smallest = |value_of| values(value_of).fold(f64::INFINITY, f64::min);
         let zero_limit = smallest(|f| f.zero_limit);
         let is_level = |least: f64, most: f64| {
             // Half the range over the middle; multiplied out, since the middle may be 0.
@@ -125,25 +127,25 @@ impl Agreement {
 
     /// Computes the agreement with a falling trend from the first to the last, after `sign` is applied to the values:
     /// the identity for a falling trend, the negation for a rising one.
-    fn trend(row: &[Finding], sign: fn(f64) -> f64) -> Self {
+    fn trend(of_policy: &[Finding], sign: fn(f64) -> f64) -> Self {
         let signed_limits = |f: &Finding| {
             let (a, b) = (sign(f.low), sign(f.high));
             (a.min(b), a.max(b))
         };
-        let values = || row.iter().map(|f| f.value);
+        let values = || of_policy.iter().map(|f| f.value);
         let range = values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min);
         let allowed = TREND_TOLERANCE * range + ROUNDING * range.abs();
         // The largest rise from an earlier to a later finding, by the given value of each.
         let rise = |later_value: &dyn Fn(&Finding) -> f64, earlier_value: &dyn Fn(&Finding) -> f64| {
-            let pairs = row
+            let pairs = of_policy
                 .iter()
                 .enumerate()
-                .flat_map(|(i, later)| row[..i].iter().map(move |earlier| (earlier, later)));
+                .flat_map(|(i, later)| of_policy[..i].iter().map(move |earlier| (earlier, later)));
             pairs
                 .map(|(earlier, later)| later_value(later) - earlier_value(earlier))
                 .fold(f64::NEG_INFINITY, f64::max)
         };
-        let (Some(first), Some(last)) = (row.first(), row.last()) else {
+        let (Some(first), Some(last)) = (of_policy.first(), of_policy.last()) else {
             return Self {
                 of_means: AgreementLevel::No,
                 worst: AgreementLevel::No,
@@ -162,20 +164,23 @@ impl Agreement {
     }
 }
 
-/// Largest or smallest of `row`, with the range of values that it can have.
-fn extreme(row: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
-    let pick_of = |value_of: fn(&Finding) -> f64| row.iter().map(value_of).reduce(pick).unwrap_or(f64::NAN);
+/// Largest or smallest of `of_policy`, with the range of values that it can have.
+///
+/// # Panics
+/// If there are no findings.
+fn extreme_finding(of_policy: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
+    let pick_of = |value_of: fn(&Finding) -> f64| of_policy.iter().map(value_of).reduce(pick).unwrap_or(f64::NAN);
     let value = pick_of(|f| f.value);
-    let extreme = row.iter().find(|f| f.value.total_cmp(&value).is_eq());
+    let extreme = of_policy.iter().find(|f| f.value.total_cmp(&value).is_eq());
     Finding {
         value,
         low: pick_of(|f| f.low),
         high: pick_of(|f| f.high),
-        ..*extreme.unwrap_or(&row[0])
+        ..*extreme.unwrap_or(&of_policy[0])
     }
 }
 
-/// Computes the level of agreement of `x`. Values up to `zero_limit` count as 0.
+/// Computes the level of agreement of `x` with a statement that has a range. Values up to `zero_limit` count as 0.
 fn agreement_level(statement: Statement, x: f64, zero_limit: f64) -> AgreementLevel {
     match statement {
         Statement::About(0.0) => agreement_if(x <= zero_limit),
@@ -194,6 +199,7 @@ pub fn agreement_with_value(x: f64, stated: f64) -> AgreementLevel {
     agreement_with_range(x, stated, stated, EQUAL_TOLERANCE)
 }
 
+/// Returns the level of a statement that has no margin.
 fn agreement_if(is_met: bool) -> AgreementLevel {
     if is_met {
         AgreementLevel::Yes

@@ -1,10 +1,10 @@
 //! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them. All
-//! verdicts and measured values of the report depend on them.
+//! verdicts and measured values of the report, and so of docs/reproduction.md, depend on them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
-use crate::figures::paired::{difference, paired_half_width};
+use crate::figures::paired::{difference_and_half_width, paired_half_width};
 use crate::figures::results::RunCondition;
 
 /// Largest value that counts as 0, as a share of the largest of the other policies' means. Part of rule 2 in [`super`].
@@ -54,29 +54,30 @@ impl TopicRuns<'_> {
         })
     }
 
+    /// Computes the findings on `claim` with `n` devices, in the order of the compared policies; empty without runs.
     fn findings_at(&self, claim: &Claim, n: u32) -> Vec<Finding> {
-        let Some(own) = self.metric_estimate(claim.policy, n) else {
+        let Some(estimate) = self.metric_estimate(claim.policy, n) else {
             return Vec::new();
         };
         let mean_finding = Finding {
             n,
             other_policy: None,
-            value: own.estimate.mean,
-            low: own.limits().0,
-            high: own.limits().1,
+            value: estimate.mean_estimate.mean,
+            low: estimate.limits().0,
+            high: estimate.limits().1,
             zero_limit: self.zero_limit(claim.policy, n),
             metric_estimate: None,
         };
         match claim.quantity {
             ClaimQuantity::Mean => vec![Finding {
-                metric_estimate: Some(own),
+                metric_estimate: Some(estimate),
                 ..mean_finding
             }],
             ClaimQuantity::Ratio(others) => {
                 let ratio_to = |other: &&'static str| {
-                    let theirs = self.metric_estimate(other, n)?;
+                    let other_estimate = self.metric_estimate(other, n)?;
                     let pairs = self.paired_values(claim.policy, other, n);
-                    let [value, low, high] = ratio(&own, &theirs, &pairs);
+                    let [value, low, high] = ratio_with_interval(&estimate, &other_estimate, &pairs);
                     Some(Finding {
                         other_policy: Some(other),
                         value,
@@ -88,8 +89,9 @@ impl TopicRuns<'_> {
                 others.iter().filter_map(ratio_to).collect()
             }
             ClaimQuantity::Gap(other) => {
-                let gap = self.metric_estimate(other, n).map(|theirs| {
-                    let [value, low, high] = gap(&own, &theirs, &self.paired_values(claim.policy, other, n));
+                let finding = self.metric_estimate(other, n).map(|other_estimate| {
+                    let pairs = self.paired_values(claim.policy, other, n);
+                    let [value, low, high] = gap_with_interval(&estimate, &other_estimate, &pairs);
                     Finding {
                         other_policy: Some(other),
                         value,
@@ -98,12 +100,12 @@ impl TopicRuns<'_> {
                         ..mean_finding
                     }
                 });
-                gap.into_iter().collect()
+                finding.into_iter().collect()
             }
             ClaimQuantity::Growth(from) => {
-                let growth = self.metric_estimate(claim.policy, from).map(|start| {
+                let finding = self.metric_estimate(claim.policy, from).map(|base_estimate| {
                     // Not paired: runs with another N have other deployments, whatever their seeds.
-                    let [value, low, high] = ratio(&own, &start, &[]);
+                    let [value, low, high] = ratio_with_interval(&estimate, &base_estimate, &[]);
                     Finding {
                         value,
                         low,
@@ -111,7 +113,7 @@ impl TopicRuns<'_> {
                         ..mean_finding
                     }
                 });
-                growth.into_iter().collect()
+                finding.into_iter().collect()
             }
         }
     }
@@ -119,19 +121,19 @@ impl TopicRuns<'_> {
     /// Largest value that counts as 0 for `policy` with `n` devices.
     fn zero_limit(&self, policy: &str, n: u32) -> f64 {
         let others = self.condition.policies().into_iter().filter(|other| *other != policy);
-        let means = others.filter_map(|other| Some(self.metric_estimate(other, n)?.estimate.mean));
+        let means = others.filter_map(|other| Some(self.metric_estimate(other, n)?.mean_estimate.mean));
         ZERO_SHARE * means.fold(0.0, f64::max)
     }
 
-    /// Values of both policies, run by run, if both were run with the same seeds.
-    fn paired_values(&self, a: &str, b: &str, n: u32) -> Vec<(f64, f64)> {
+    /// Values of both policies, run by run; empty unless both were run with the same seeds.
+    fn paired_values(&self, policy: &str, other: &str, n: u32) -> Vec<(f64, f64)> {
         let divisor = if self.topic.is_per_device { f64::from(n) } else { 1.0 };
-        let values = |policy: &str| -> Vec<(u64, f64)> {
+        let seeds_and_values = |policy: &str| -> Vec<(u64, f64)> {
             let runs = self.condition.runs(policy, n);
             let values = runs.filter_map(|row| Some((row.seed, row.metric(self.topic.metric)? / divisor)));
             values.collect()
         };
-        let (a, b) = (values(a), values(b));
+        let (a, b) = (seeds_and_values(policy), seeds_and_values(other));
         // Runs are in the order of seeds, so two equal lists have equal seeds at each index.
         if a.len() != b.len() || a.iter().zip(&b).any(|(a, b)| a.0 != b.0) {
             return Vec::new();
@@ -140,29 +142,35 @@ impl TopicRuns<'_> {
     }
 }
 
-/// Computes the ratio of two means with its interval. Runs with the same seeds have the same deployments, epicentres
-/// and harvests, so the spread is taken over their differences from the common ratio. Other means, and metrics with
-/// an upper bound from case counts, use the worst case of both intervals.
-fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
-    let (a, b) = (own.estimate.mean, theirs.estimate.mean);
+/// Computes the ratio of the mean of `dividend` to the mean of `divisor`, and the lower and upper end of its interval,
+/// in this order. Runs with the same seeds have the same deployments, epicentres and harvests, so the spread is taken
+/// over their differences from the common ratio. Without `pairs`, and for metrics with an upper bound from case counts,
+/// the interval is the worst case of both intervals.
+fn ratio_with_interval(dividend: &MetricEstimate, divisor: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
+    let (a, b) = (dividend.mean_estimate.mean, divisor.mean_estimate.mean);
     let value = match (a == 0.0, b == 0.0) {
         (true, true) => 1.0,
         (false, true) => f64::INFINITY,
         (_, false) => a / b,
     };
-    if let Some(half_width) = paired_half_width(own, theirs, pairs, value).filter(|_| b > 0.0) {
+    if let Some(half_width) = paired_half_width(dividend, divisor, pairs, value).filter(|_| b > 0.0) {
         return [value, (value - half_width / b).max(0.0), value + half_width / b];
     }
-    let ((low, high), (least, most)) = (own.limits(), theirs.limits());
-    let low = if most > 0.0 { low / most } else { 0.0 };
-    let high = if least > 0.0 { high / least } else { f64::INFINITY };
+    let ((low, high), (divisor_low, divisor_high)) = (dividend.limits(), divisor.limits());
+    let low = if divisor_high > 0.0 { low / divisor_high } else { 0.0 };
+    let high = if divisor_low > 0.0 {
+        high / divisor_low
+    } else {
+        f64::INFINITY
+    };
     [value, low, high]
 }
 
-/// Computes the distance between two means with its interval, as in [`ratio`].
-fn gap(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
-    let (difference, half_width) = difference(own, theirs, pairs);
-    let value = difference.abs();
+/// Computes the distance between two means, and the lower and upper end of its interval, in this order. Pairs are used
+/// as in [`ratio_with_interval`]; without them the half-widths of both means are added.
+fn gap_with_interval(a: &MetricEstimate, b: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
+    let (signed_gap, half_width) = difference_and_half_width(a, b, pairs);
+    let value = signed_gap.abs();
     if half_width.is_nan() {
         return [value, 0.0, f64::INFINITY];
     }
@@ -178,7 +186,7 @@ mod tests {
 
     fn estimate_of(values: &[f64]) -> MetricEstimate {
         MetricEstimate {
-            estimate: Estimate::from_values_or_nan(values.iter().copied()),
+            mean_estimate: Estimate::from_values_or_nan(values.iter().copied()),
             case_counts: None,
             upper_bound: None,
             lower_bound: None,
@@ -190,14 +198,15 @@ mod tests {
         // b is half of a, except for −0.1, 0.2 and −0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
         let (a, b) = ([2.0, 4.0, 6.0], [0.9, 2.2, 2.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
-        let [value, low, high] = ratio(&estimate_of(&a), &estimate_of(&b), &pairs);
+        let [value, low, high] = ratio_with_interval(&estimate_of(&a), &estimate_of(&b), &pairs);
+        // 4.302653 is the 97.5 % quantile of Student's t with two degrees of freedom.
         let half_width = 4.302_653 * 0.12_f64.sqrt() / 3.0_f64.sqrt() / 2.0;
         assert!((value - 2.0).abs() < 1e-12);
         assert!(
             (low - (2.0 - half_width)).abs() < 1e-5 && (high - (2.0 + half_width)).abs() < 1e-5,
             "interval {low} to {high}"
         );
-        let [_, wide_low, wide_high] = ratio(&estimate_of(&a), &estimate_of(&b), &[]);
+        let [_, wide_low, wide_high] = ratio_with_interval(&estimate_of(&a), &estimate_of(&b), &[]);
         assert!(
             wide_low < low && high < wide_high,
             "without pairs, the interval includes the spread of the seeds"
@@ -208,11 +217,12 @@ mod tests {
     fn the_interval_of_a_gap_follows_from_differences_of_pairs() {
         let (a, b) = ([2.0, 4.0, 6.0], [1.0, 3.1, 4.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
-        let [value, low, high] = gap(&estimate_of(&b), &estimate_of(&a), &pairs);
+        let [value, low, high] = gap_with_interval(&estimate_of(&b), &estimate_of(&a), &pairs);
+        // Differences of 1, 0.9 and 1.1, whose deviation is 0.1.
         let half_width = 4.302_653 * 0.1 / 3.0_f64.sqrt();
         assert!((value - 1.0).abs() < 1e-12);
         assert!((low - (1.0 - half_width)).abs() < 1e-5 && (high - (1.0 + half_width)).abs() < 1e-5);
-        let [_, low, high] = gap(&estimate_of(&[2.0]), &estimate_of(&[1.0]), &[]);
+        let [_, low, high] = gap_with_interval(&estimate_of(&[2.0]), &estimate_of(&[1.0]), &[]);
         assert_eq!((low, high), (0.0, f64::INFINITY), "one run has no interval");
     }
 
@@ -223,11 +233,11 @@ mod tests {
             upper_bound: Some(0.1),
             ..estimate_of(&[0.0, 0.0])
         };
-        let [value, low, high] = ratio(&no_cases, &no_cases, &[(0.0, 0.0); 2]);
+        let [value, low, high] = ratio_with_interval(&no_cases, &no_cases, &[(0.0, 0.0); 2]);
         assert!((value - 1.0).abs() < 1e-12 && low == 0.0 && high.is_infinite());
-        let [value, low, high] = ratio(&estimate_of(&[4.0, 4.0]), &no_cases, &[(4.0, 0.0); 2]);
+        let [value, low, high] = ratio_with_interval(&estimate_of(&[4.0, 4.0]), &no_cases, &[(4.0, 0.0); 2]);
         assert!(value.is_infinite() && high.is_infinite() && (low - 40.0).abs() < 1e-9);
-        let [value, low, high] = ratio(&no_cases, &estimate_of(&[4.0, 4.0]), &[(0.0, 4.0); 2]);
+        let [value, low, high] = ratio_with_interval(&no_cases, &estimate_of(&[4.0, 4.0]), &[(0.0, 4.0); 2]);
         assert!(value == 0.0 && low == 0.0 && (high - 0.025).abs() < 1e-12);
     }
 }

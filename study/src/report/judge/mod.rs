@@ -1,5 +1,6 @@
-//! The verdict on a claim. The module `notes` of the report states the rule for readers of the report, and
-//! `docs/figures-and-report.md` for users; change all three.
+//! The verdict on a claim. The report and its search call [`judge`]; the claims on λ use only the levels of agreement.
+//! The module `notes` of the report states the rule for readers of the report, and `docs/figures-and-report.md` for
+//! users; change all three.
 //!
 //! 1. A policy without runs at a claim's N is *not run*. A statement on several N together needs runs at two of them.
 //! 2. A claim is *reproduced* if our mean is within 5 % of a stated value, in a stated range, or meets a bound
@@ -11,7 +12,8 @@
 //!    by rule 2.
 //! 4. Otherwise its *order is reproduced* if, at each such N, our mean has the same order to every compared policy as
 //!    in the paper. A policy is compared if the paper states its order or ratio, or figures for both that all exclude
-//!    each other. At least one policy must be compared.
+//!    each other. At least one policy must be compared. A claim that is itself an order, an equality, a gap, a growth
+//!    or a trend is not compared.
 //! 5. Otherwise it is *not reproduced*.
 //!
 //! A verdict is *firm* if it is the same for every value in our 95 % intervals.
@@ -22,6 +24,7 @@ mod order;
 
 pub use self::agreement::{Agreement, AgreementLevel, agreement_with_value};
 pub use self::finding::Finding;
+use self::order::PolicyPair;
 use crate::claims::{Claim, ClaimTopic};
 use crate::figures::results::RunCondition;
 
@@ -50,7 +53,7 @@ impl Verdict {
         Self::NotRun,
     ];
 
-    /// Name of the verdict.
+    /// Name of the verdict, as in docs/reproduction.md.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Reproduced => "reproduced",
@@ -71,9 +74,19 @@ pub struct Judgement {
     pub is_firm: bool,
     /// Our findings, in ascending order of N, and at each N in the order of the compared policies.
     pub findings: Vec<Finding>,
-    /// Policies of the order comparison: N, the policy, and whether our order equals the paper's. Empty if rules 1 to 3
-    /// decide or no policy can be compared.
-    pub order_checks: Vec<(u32, &'static str, bool)>,
+    /// The comparisons of rule 4. Empty if rules 1 to 3 decide or no policy can be compared.
+    pub order_checks: Vec<OrderCheck>,
+}
+
+/// Comparison of the order of a claim's policy and another policy, by rule 4.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OrderCheck {
+    /// Number of devices N.
+    pub n: u32,
+    /// The other policy.
+    pub other_policy: &'static str,
+    /// Whether our order equals the paper's.
+    pub is_as_stated: bool,
 }
 
 /// Judges one claim of `topic` by the runs of `condition`.
@@ -108,10 +121,12 @@ pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Jud
         compared.is_empty() || compared.iter().any(|pair| pair.is_firm && !pair.is_as_stated)
     };
     judgement.is_firm = agreement.is_firm() && is_order_firm;
-    let pairs = compared.into_iter();
-    judgement.order_checks = pairs
-        .map(|pair| (pair.n, pair.other_policy, pair.is_as_stated))
-        .collect();
+    let check = |pair: PolicyPair| OrderCheck {
+        n: pair.n,
+        other_policy: pair.other_policy,
+        is_as_stated: pair.is_as_stated,
+    };
+    judgement.order_checks = compared.into_iter().map(check).collect();
     judgement
 }
 

@@ -1,5 +1,6 @@
 //! Order of the policies in the paper and in our runs: rule 4 of [`super`]. Change it together with the texts of the
-//! rule that [`super`] lists.
+//! rule that [`super`] lists. The paper's order follows from all claims of a topic, so a new claim can change this
+//! verdict of the topic's other claims.
 
 use super::finding::{Finding, TopicRuns};
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic, DeviceCounts, Statement};
@@ -46,18 +47,18 @@ pub(super) fn compare_policies(
     for n in device_counts.filter(|n| claim.device_counts.contains(*n) && extreme.is_none_or(|extreme| extreme.n == *n))
     {
         for (other_policy, is_lower) in policies_with_stated_order(topic, claim, n) {
-            let (Some(own), Some(theirs)) = (
+            let (Some(estimate), Some(other_estimate)) = (
                 runs.metric_estimate(claim.policy, n),
                 runs.metric_estimate(other_policy, n),
             ) else {
                 continue;
             };
-            let difference = own.estimate.mean - theirs.estimate.mean;
+            let difference = estimate.mean_estimate.mean - other_estimate.mean_estimate.mean;
             pairs.push(PolicyPair {
                 n,
                 other_policy,
                 is_as_stated: if is_lower { difference < 0.0 } else { difference > 0.0 },
-                is_firm: difference.abs() > own.half_width() + theirs.half_width(),
+                is_firm: difference.abs() > estimate.half_width() + other_estimate.half_width(),
             });
         }
     }
@@ -67,7 +68,7 @@ pub(super) fn compare_policies(
 /// Whether the claim has no order to judge apart from its own statement: a pure order, a change or a trend.
 fn has_no_order(claim: &Claim) -> bool {
     let is_order = matches!(claim.quantity, ClaimQuantity::Ratio(_))
-        && stated_side(claim.statement).is_none_or(|(_, is_only_side)| is_only_side);
+        && stated_side(claim.statement).is_none_or(|side| side.is_whole_statement);
     let is_change = matches!(claim.quantity, ClaimQuantity::Growth(_) | ClaimQuantity::Gap(_));
     let is_trend = matches!(
         claim.statement,
@@ -76,28 +77,38 @@ fn has_no_order(claim: &Claim) -> bool {
     is_order || is_change || is_trend
 }
 
-/// Whether a stated ratio is below 1, and whether the statement is only about that side; `None` for neither side.
-fn stated_side(statement: Statement) -> Option<(bool, bool)> {
-    match statement {
-        Statement::Below(v) => (v <= 1.0).then_some((true, v >= 1.0)),
-        Statement::Above(v) => (v >= 1.0).then_some((false, v <= 1.0)),
-        Statement::About(v) | Statement::Largest(v) | Statement::Smallest(v) => {
-            ((v - 1.0).abs() > 0.0).then_some((v < 1.0, false))
-        }
-        Statement::Between(low, high) => (high < 1.0 || low > 1.0).then_some((high < 1.0, false)),
-        Statement::Constant | Statement::Falls | Statement::Rises => None,
-    }
+/// The side of 1 on which a stated ratio lies.
+struct StatedSide {
+    /// Whether the ratio is below 1; otherwise it is above.
+    is_below_one: bool,
+    /// Whether the statement says no more than this: a bound of 1.
+    is_whole_statement: bool,
+}
+
+/// Returns the side of 1 of a statement on a ratio; `None` for neither side.
+fn stated_side(statement: Statement) -> Option<StatedSide> {
+    let (is_on_one_side, is_below_one, is_whole_statement) = match statement {
+        Statement::Below(v) => (v <= 1.0, true, v >= 1.0),
+        Statement::Above(v) => (v >= 1.0, false, v <= 1.0),
+        Statement::About(v) | Statement::Largest(v) | Statement::Smallest(v) => ((v - 1.0).abs() > 0.0, v < 1.0, false),
+        Statement::Between(low, high) => (high < 1.0 || low > 1.0, high < 1.0, false),
+        Statement::Constant | Statement::Falls | Statement::Rises => return None,
+    };
+    is_on_one_side.then_some(StatedSide {
+        is_below_one,
+        is_whole_statement,
+    })
 }
 
 /// Lists the policies with a stated order to `claim`'s policy at `n`, and whether `claim`'s policy is the lower. The
 /// order follows from a stated order or ratio, or from ranges that all exclude each other. A claim on a ratio concerns
 /// only its own policies.
 fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
-    if let (ClaimQuantity::Ratio(others), Some((is_lower, _))) = (claim.quantity, stated_side(claim.statement)) {
-        return others.iter().map(|other| (*other, is_lower)).collect();
+    if let (ClaimQuantity::Ratio(others), Some(side)) = (claim.quantity, stated_side(claim.statement)) {
+        return others.iter().map(|other| (*other, side.is_below_one)).collect();
     }
     let mut ordered: Vec<(&'static str, bool)> = Vec::new();
-    let mut add = |other: &'static str, is_lower: bool| {
+    let mut add_if_new = |other: &'static str, is_lower: bool| {
         if !ordered.iter().any(|(known, _)| *known == other) {
             ordered.push((other, is_lower));
         }
@@ -105,27 +116,28 @@ fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<
     for order_claim in topic.claims.iter().filter(|c| c.device_counts.contains(n)) {
         // "Up to" refers to one N, which the paper does not name.
         let is_at_each_n = order_claim.statement.range().is_some();
-        let (ClaimQuantity::Ratio(bases), Some((is_lower, _)), true) =
+        let (ClaimQuantity::Ratio(others), Some(side), true) =
             (order_claim.quantity, stated_side(order_claim.statement), is_at_each_n)
         else {
             continue;
         };
         if order_claim.policy == claim.policy {
-            for base in bases {
-                add(base, is_lower);
+            for other in others {
+                add_if_new(other, side.is_below_one);
             }
-        } else if bases.contains(&claim.policy) {
-            add(order_claim.policy, !is_lower);
+        } else if others.contains(&claim.policy) {
+            add_if_new(order_claim.policy, !side.is_below_one);
         }
     }
-    let own = ranges_of_policy(topic, claim.policy, n);
+    let ranges = ranges_of_policy(topic, claim.policy, n);
     for other_policy in topic.claims.iter().map(|c| c.policy).filter(|p| *p != claim.policy) {
-        let theirs = ranges_of_policy(topic, other_policy, n);
-        let all_pairs =
-            |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
+        let other_ranges = ranges_of_policy(topic, other_policy, n);
+        let all_pairs = |holds: fn((f64, f64), (f64, f64)) -> bool| {
+            ranges.iter().all(|a| other_ranges.iter().all(|b| holds(*a, *b)))
+        };
         let (is_lower, is_higher) = (all_pairs(|a, b| a.1 < b.0), all_pairs(|a, b| b.1 < a.0));
-        if !own.is_empty() && !theirs.is_empty() && is_lower != is_higher {
-            add(other_policy, is_lower);
+        if !ranges.is_empty() && !other_ranges.is_empty() && is_lower != is_higher {
+            add_if_new(other_policy, is_lower);
         }
     }
     ordered

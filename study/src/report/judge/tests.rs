@@ -1,5 +1,5 @@
-//! Tests of [`judge`] at the limits of each verdict. A table holds the tested values in [`METRIC`]; the paper's claims
-//! are not used.
+//! Tests of [`judge`] at the limits of each verdict, by the rule in [`super`]. A table holds the tested values in
+//! [`METRIC`]; the paper's claims are not used. The tests in `finding` cover bounds of rare cases.
 
 use reveille_common::declare::NoFiles;
 
@@ -114,7 +114,7 @@ fn ranges_have_a_near_margin_and_bounds_have_none() {
 #[test]
 fn a_verdict_is_firm_if_the_interval_stays_on_its_side() {
     const ABOUT_TEN: &[Claim] = &[knn_is_about(10.0)];
-    // Two values a and b: the half-width is 12.706 · |a - b| / 2.
+    // Two values a and b: the half-width is 12.706 · |a - b| / 2, by Student's t with one degree of freedom.
     for (values, expected) in [
         ([10.1, 10.11], (Verdict::Reproduced, true)),
         ([10.4, 10.43], (Verdict::Reproduced, false)),

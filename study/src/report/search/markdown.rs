@@ -1,5 +1,5 @@
-//! The search as Markdown: a whole file ([`markdown`]), sections of a page ([`page_sections`]), and the ranking as
-//! cells for the terminal. Section names are marks in `docs/reproduction.md`.
+//! The search as Markdown: a whole file ([`markdown`]), sections of a page ([`search_sections`]), and the ranking as
+//! cells for the terminal. Section names are marks in `docs/reproduction.md`, which contains the texts.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,8 @@ use super::super::page_sections::{PageSection, wrap_text};
 use super::super::phrasing::format_number;
 use super::{ClaimCounts, ClaimHalf, ConditionRanking, RankedCondition};
 
-/// Explanation of the ranking and of its limits.
+/// Explanation of the ranking and of its limits. [`super`] and docs/figures-and-report.md state the same rule: change
+/// all three.
 pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of the report. Conditions are ranked by \
     the claims with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with \
     odd numbers do not affect the rank; the number of them that a condition meets shows whether its rank is more than \
@@ -37,9 +38,9 @@ pub fn markdown(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> 
 }
 
 /// Renders the search as sections of a page, with the first `count` conditions and the presets.
-pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
-    // The text of a section from below its heading on.
-    let untitled = |text: String| {
+pub fn search_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
+    // The text of a section below its heading, which must be a second-level one at the start.
+    let without_heading = |text: String| {
         demote_headings(
             text.split_once("## ")
                 .and_then(|(_, section)| section.split_once('\n'))
@@ -55,9 +56,9 @@ pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str
         ),
         PageSection::new("search-rule", wrap_text(RANKING_RULE, "")),
         PageSection::new("search-settings", ranking_table(ranking, count)),
-        PageSection::new("search-effects", untitled(effects_section(ranking))),
-        PageSection::new("search-unmet", untitled(unmet_section(ranking))),
-        PageSection::new("search-claims", untitled(verdicts_section(ranking))),
+        PageSection::new("search-effects", without_heading(effects_section(ranking))),
+        PageSection::new("search-unmet", without_heading(unmet_section(ranking))),
+        PageSection::new("search-claims", without_heading(verdicts_section(ranking))),
         PageSection::new(
             "search-made",
             remove_headings_and_wrap(&origin_section(&ranking.report, command)),
@@ -68,9 +69,9 @@ pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str
 /// Summarises the search and its result, one sentence an item.
 pub fn summary(ranking: &ConditionRanking<'_>) -> Vec<String> {
     let ClaimCounts { met, unmet, not_run } = ranking.counts();
-    let runs: usize = ranking.report.columns.iter().map(|c| c.condition.run_count()).sum();
+    let run_count: usize = ranking.report.columns.iter().map(|c| c.condition.run_count()).sum();
     let rows = &ranking.report.rows;
-    let halves = [ClaimHalf::Search, ClaimHalf::HeldOut].map(|half| {
+    let [search_count, held_out_count] = [ClaimHalf::Search, ClaimHalf::HeldOut].map(|half| {
         let of_half = (1..)
             .zip(rows)
             .filter(|(number, _)| ClaimHalf::of_number(*number) == half);
@@ -78,12 +79,12 @@ pub fn summary(ranking: &ConditionRanking<'_>) -> Vec<String> {
     });
     let mut sentences = vec![
         format!(
-            "{} conditions, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
+            "{} conditions, {run_count} runs; {} claims, of which {} were run: {} to search by, {} held out.",
             ranking.conditions.len(),
             rows.len(),
             met + unmet,
-            halves[0],
-            halves[1]
+            search_count,
+            held_out_count
         ),
         format!("{met} claims are met by some condition, {unmet} by none, {not_run} were not run."),
     ];
@@ -149,6 +150,7 @@ pub fn ranking_row(ranking: &ConditionRanking<'_>, ranked: &RankedCondition) -> 
     numbers.chain([name]).chain(values).collect()
 }
 
+/// Renders a table, whose rows must have one cell for each of `heads`.
 fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     let line = |cells: &[String]| {
         let cells: Vec<String> = cells.iter().map(|text| escape_cell(text)).collect();

@@ -8,6 +8,8 @@
 //! order does not count, since orders are derived from several claims.
 //!
 //! Limits: both halves come from the same runs, and claims of one sentence about several policies fall into both.
+//! `RANKING_RULE` in [`markdown`] and docs/figures-and-report.md state the same rule: change all three. The command
+//! `reveille report search` prints and writes the ranking.
 
 pub mod markdown;
 
@@ -54,7 +56,10 @@ pub struct HalfScore {
 }
 
 impl HalfScore {
-    /// Counts the score of column `column` over `half` of `rows`.
+    /// Counts the score of column `column` over `half` of `rows`, which are all rows of a report.
+    ///
+    /// # Panics
+    /// If the rows have no such column.
     pub fn of_column(rows: &[ClaimRow], column: usize, half: ClaimHalf) -> Self {
         let verdicts = || {
             let numbered = (1..)
@@ -153,9 +158,9 @@ impl<'r> ConditionRanking<'r> {
             .map(|column| RankedCondition {
                 column,
                 search: search[column],
-                rank: rank(&search, column),
+                rank: rank_of(&search, column),
                 held_out: held_out[column],
-                held_out_rank: rank(&held_out, column),
+                held_out_rank: rank_of(&held_out, column),
             })
             .collect();
         conditions.sort_by_key(|ranked| (ranked.rank, ranked.column));
@@ -171,6 +176,9 @@ impl<'r> ConditionRanking<'r> {
     }
 
     /// Name of a column.
+    ///
+    /// # Panics
+    /// If the report has no such column.
     pub fn label(&self, column: usize) -> &str {
         &self.report.columns[column].label
     }
@@ -183,7 +191,7 @@ impl<'r> ConditionRanking<'r> {
                 .iter()
                 .any(|assessment| assessment.verdict == Verdict::Reproduced)
         };
-        let unmet = numbered.filter(|(_, row)| row.has_runs() && !is_met(row));
+        let unmet_rows = numbered.filter(|(_, row)| row.has_runs() && !is_met(row));
         let find_closest = |row: &ClaimRow| {
             let judged = row.assessments.iter().enumerate();
             let judged = judged.filter(|(_, assessment)| assessment.verdict != Verdict::NotRun);
@@ -191,7 +199,7 @@ impl<'r> ConditionRanking<'r> {
                 .min_by(|a, b| a.1.deviation.total_cmp(&b.1.deviation))
                 .map(|(column, _)| column)
         };
-        let unmet = unmet.filter_map(|(number, row)| {
+        let unmet_claims = unmet_rows.filter_map(|(number, row)| {
             let closest_column = find_closest(row)?;
             Some(UnmetClaim {
                 number,
@@ -199,7 +207,7 @@ impl<'r> ConditionRanking<'r> {
                 closest_column,
             })
         });
-        unmet.collect()
+        unmet_claims.collect()
     }
 
     /// Counts the claims.
@@ -252,6 +260,9 @@ impl<'r> ConditionRanking<'r> {
     }
 
     /// Value of `field` in a column; `None` for the value of the condition's own preset.
+    ///
+    /// # Panics
+    /// If the report has no such column.
     pub fn value(&self, column: usize, field: &str) -> Option<&str> {
         let mut changed = self.report.columns[column].condition.all_changes();
         let change = changed.find(|(path, _)| path == field);
@@ -301,7 +312,7 @@ impl<'r> ConditionRanking<'r> {
 }
 
 /// Rank of the score of `column` among `scores`, from 1.
-fn rank(scores: &[HalfScore], column: usize) -> usize {
+fn rank_of(scores: &[HalfScore], column: usize) -> usize {
     1 + scores
         .iter()
         .filter(|score| score.ranking_key() > scores[column].ranking_key())

@@ -1,5 +1,5 @@
 //! Tests of [`ConditionRanking`] on sweeps of α whose order of conditions is known: energies as in the paper, close to
-//! it and far from it.
+//! it and far from it. The energies rely on the claims in `study/src/claims/energy.rs`.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};
@@ -76,6 +76,7 @@ fn a_score_counts_the_verdicts_of_its_half_of_the_claims() {
         assert_eq!([met, near, judged], even);
         let HalfScore { met, near, judged } = ranked.held_out;
         assert_eq!([met, near, judged], odd);
+        // Enough claims to show a wrong half; the limit is chosen freely.
         assert!(
             even[2] > 5 && odd[2] > 5,
             "too few claims with runs: even {even:?}, odd {odd:?}"
@@ -186,8 +187,8 @@ fn the_effect_of_a_value_is_the_mean_over_its_conditions() {
 fn the_correlation_of_halves_equals_a_calculation_by_hand() {
     let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
     let mut ranking = ConditionRanking::new(ClaimReport::new(&results));
-    let met_claims = [(1, 2), (2, 4), (3, 9)];
-    for (ranked, (search, held_out)) in ranking.conditions.iter_mut().zip(met_claims) {
+    let met_in_halves = [(1, 2), (2, 4), (3, 9)];
+    for (ranked, (search, held_out)) in ranking.conditions.iter_mut().zip(met_in_halves) {
         (ranked.search.met, ranked.held_out.met) = (search, held_out);
     }
     // Deviations -1, 0, 1 and -3, -1, 4: 7 / √(2 · 26).
@@ -207,7 +208,7 @@ fn page_sections_have_the_tables_of_the_whole_page() {
     let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
     let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let whole_page = markdown(&ranking, 5, "command");
-    for section in super::markdown::page_sections(&ranking, 5, "command") {
+    for section in super::markdown::search_sections(&ranking, 5, "command") {
         let rows = section.body.lines().filter(|line| line.starts_with("| "));
         assert!(rows.clone().all(|row| whole_page.contains(row)), "{}", section.name);
         assert!(
