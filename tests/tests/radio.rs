@@ -1,6 +1,8 @@
-//! An unreliable radio: lost messages against the draws of `Air`, their effects on events, plans and energy, the
-//! metric of each failure, and decisions that must not depend on lost reports. The draws themselves are compared with
-//! the reference implementation in `reference.rs`.
+//! An unreliable radio: lost messages against the draws of `Air`, their effects on events, plans and energy, wake-up
+//! latency, false wake-ups, the metric of each failure, and decisions that must not depend on lost reports. The draws
+//! themselves are compared with the reference implementation in `reference.rs`. Losses over the bus are not tested.
+//!
+//! Minimum numbers of messages and events are not requirements: they show that the tested case occurs.
 
 use reveille_bs::base_station::BaseStation;
 use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome};
@@ -20,7 +22,7 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::compare::ONE_TTI_PER_GRANT;
 use reveille_tests::scenarios::paper;
 
-/// E_idle of the preset `paper`, micro-units.
+/// E_idle of the preset `paper`, micro-units; a copy of the default in `common/src/energy.rs`.
 const E_IDLE: u64 = 1_000_000;
 
 fn prepared(fields: &[&str]) -> PreparedRun {
@@ -30,8 +32,10 @@ fn prepared(fields: &[&str]) -> PreparedRun {
 /// Decisions of a base station and the messages that arrived or were lost.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct RadioObserver {
-    plans: Vec<(Tti, Plan)>,
-    wake_ups: Vec<(Tti, DeviceId)>,
+    /// Plans that the base station sent, each with its first TTI.
+    sent_plans: Vec<(Tti, Plan)>,
+    /// TTIs and devices of wake-ups that the base station sent.
+    sent_wake_ups: Vec<(Tti, DeviceId)>,
     /// TTIs and senders of reports that arrived.
     arrived_reports: Vec<(Tti, DeviceId)>,
     /// TTIs and senders of reports that were lost.
@@ -54,10 +58,10 @@ impl RadioObserver {
 impl Observer for RadioObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
-            Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Notification::PlanSent { update, .. } => self.sent_plans.push((update.from, update.plan.clone())),
             Notification::ReportReceived(report) => self.arrived_reports.push((report.tti, report.device)),
             Notification::ReportLost(report) => self.lose_report(report.tti, report.device),
-            Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
+            Notification::WakeUpSent { tti, device, .. } => self.sent_wake_ups.push((*tti, *device)),
             Notification::WakeUpCompleted { tti, device, outcome } => match outcome {
                 WakeOutcome::Reported(_) => self.arrived_reports.push((*tti, *device)),
                 WakeOutcome::Lost(_) => self.lose_report(*tti, *device),
@@ -124,7 +128,7 @@ fn exactly_the_drawn_reports_and_wake_ups_are_lost() {
             reports.len()
         );
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
-        for &(tti, device) in &observed.wake_ups {
+        for &(tti, device) in &observed.sent_wake_ups {
             let is_drawn_as_missed = air.losses_at(tti).misses_wake_up(device);
             // An unpowered device misses wake-ups too.
             let is_missed = observed.missed_wake_ups.contains(&(tti, device));
@@ -141,7 +145,7 @@ fn events_are_missed_if_every_report_is_lost() {
     let prepared = prepared(&["ttis=2000", "radio.uplink_loss=1", "energy.initial=100"]);
     let observed = observe(&prepared);
     assert!(observed.events.iter().all(|(is_reported, _)| !is_reported));
-    assert!(observed.arrived_reports.is_empty() && observed.wake_ups.is_empty());
+    assert!(observed.arrived_reports.is_empty() && observed.sent_wake_ups.is_empty());
     // A device in S1 in several TTIs of an event reports in each of them.
     let max_lost_reports = observed.events.iter().map(|(_, lost)| *lost).max();
     assert!(
@@ -184,9 +188,9 @@ fn devices_that_miss_a_plan_keep_the_previous_one() {
         let mut received_duties: Vec<_> = run.machines().iter().map(Machine::duty).collect();
         let mut outdated_duties = 0_u64;
         while run.cycle().next_tti() < Tti(1500) {
-            let earlier_plans = observer.plans.len();
+            let earlier_plans = observer.sent_plans.len();
             run.run_grant(&mut observer);
-            for (from, plan) in &observer.plans[earlier_plans..] {
+            for (from, plan) in &observer.sent_plans[earlier_plans..] {
                 let devices = received_duties.len();
                 air.deliver_plan(*from, plan, DeviceId(0), devices, |j, duty| received_duties[j] = duty);
             }
@@ -237,8 +241,8 @@ fn the_content_of_lost_reports_changes_no_decision() {
         assert!(eastwards.lost_reports.len() > 20, "{policy}");
         assert_ne!(eastwards.lost_reports, southwards.lost_reports, "{policy}");
         assert_eq!(eastwards.arrived_reports, southwards.arrived_reports, "{policy}");
-        assert_eq!(eastwards.plans, southwards.plans, "{policy}");
-        assert_eq!(eastwards.wake_ups, southwards.wake_ups, "{policy}");
+        assert_eq!(eastwards.sent_plans, southwards.sent_plans, "{policy}");
+        assert_eq!(eastwards.sent_wake_ups, southwards.sent_wake_ups, "{policy}");
     }
 }
 
@@ -251,7 +255,7 @@ fn every_failure_has_its_metric() {
         ("radio.plan_loss=0.2", "missed_plans_pct"),
         ("radio.false_wake_up=0.2", "false_wake_ups_pct"),
     ];
-    for (field, own_metric) in failures {
+    for (field, affected_metric) in failures {
         let metrics = finish(&prepared(&[
             "ttis=4000",
             // Batteries never run out, so a wake-up without an answer was missed by the radio.
@@ -265,7 +269,7 @@ fn every_failure_has_its_metric() {
         .metrics;
         for (_, metric) in failures {
             let value = metrics.value(metric).expect("a metric");
-            if metric == own_metric {
+            if metric == affected_metric {
                 // The smallest sample has some hundred messages, and a standard error of about 2 %.
                 assert!((value - 20.0).abs() < 6.0, "{field}: {metric} {value}");
             } else {
@@ -275,9 +279,10 @@ fn every_failure_has_its_metric() {
     }
 }
 
-/// When the wake-ups of a run are sent, and the devices are awake.
+/// Observer of the TTIs in which wake-ups are sent and devices become awake. `latency` must be set before the run.
 #[derive(Default)]
 struct WakeUpTimes {
+    /// First TTI of the latest event.
     event_start: Tti,
     /// TTIs in which the wake-ups decided in the current TTI were sent.
     sent_ttis: Vec<Tti>,
@@ -340,16 +345,16 @@ fn a_device_that_wakes_after_the_event_detects_nothing() {
         };
         let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut wake_ups);
         let (mut in_time, mut late) = (0, 0);
-        for (delay, outcome) in &wake_ups.delays {
-            match outcome {
+        for (delay, wake_outcome) in &wake_ups.delays {
+            match wake_outcome {
                 WakeOutcome::Late { spent, powered } => {
                     late += 1;
-                    assert!(*delay > 5, "{policy}: {outcome} after {delay} TTIs");
-                    assert!(!powered || spent.micro() == E_IDLE, "{policy}: {outcome}");
+                    assert!(*delay > 5, "{policy}: {wake_outcome} after {delay} TTIs");
+                    assert!(!powered || spent.micro() == E_IDLE, "{policy}: {wake_outcome}");
                 }
                 WakeOutcome::Reported(_) | WakeOutcome::Failed(_) | WakeOutcome::Lost(_) => {
                     in_time += 1;
-                    assert!(*delay <= 5, "{policy}: {outcome} after {delay} TTIs");
+                    assert!(*delay <= 5, "{policy}: {wake_outcome} after {delay} TTIs");
                 }
                 WakeOutcome::Missed => {}
             }
@@ -384,11 +389,11 @@ fn each_false_wake_up_costs_e_idle_in_s4() {
         .totals
         .energy
     };
-    let (without, with) = (energy(0.0), energy(0.1));
-    assert_eq!(with.spent.sensing, without.spent.sensing);
-    let additional = with.spent.sleep - without.spent.sleep;
-    assert_eq!(additional.micro(), with.false_wake_ups * E_IDLE);
-    // All 50 devices sleep in the 1800 measured TTIs.
-    let share = with.false_wake_ups as f64 / (50.0 * 1800.0);
+    let (without_false, with_false) = (energy(0.0), energy(0.1));
+    assert_eq!(with_false.spent.sensing, without_false.spent.sensing);
+    let additional = with_false.spent.sleep - without_false.spent.sleep;
+    assert_eq!(additional.micro(), with_false.false_wake_ups * E_IDLE);
+    // The preset has 50 devices and a warm-up of 10 %: under `genie` all sleep in most of the 1800 measured TTIs.
+    let share = with_false.false_wake_ups as f64 / (50.0 * 1800.0);
     assert!((share - 0.1).abs() < 0.005, "false wake-ups in a share {share} of TTIs");
 }

@@ -1,5 +1,6 @@
 //! Ψ is a unit of information (Eq. (1)): with another Ψ, a run has the same plans, wake-ups and energy, and its
-//! information scales.
+//! information scales. `genie` and `dt`, other scenarios and the bus are not covered. The tolerances cover
+//! rounding only.
 
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
@@ -13,12 +14,14 @@ use reveille_tests::scenarios::paper;
 /// Plans, wake-ups and information of a run.
 #[derive(Default)]
 struct InformationObserver {
+    /// Sent plans, each with its first TTI.
     plans: Vec<(Tti, Plan)>,
+    /// TTIs and devices of sent wake-ups.
     wake_ups: Vec<(Tti, DeviceId)>,
-    /// Information of each report, with its TTI and sender.
+    /// Information of each received report without a wake-up, with its TTI and sender.
     reports: Vec<(Tti, DeviceId, f64)>,
-    /// Information of each ended event.
-    events: Vec<f64>,
+    /// Information of each ended event, which includes the reports of woken devices.
+    event_information: Vec<f64>,
 }
 
 impl Observer for InformationObserver {
@@ -28,7 +31,7 @@ impl Observer for InformationObserver {
             Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
             Notification::ReportReceived(report) => self.reports.push((report.tti, report.device, report.information)),
             Notification::EventEnded(event) => {
-                self.events
+                self.event_information
                     .push(event.tally.information_pico as f64 / PICO_PER_INFORMATION);
             }
             Notification::TtisGranted(_)
@@ -45,6 +48,7 @@ impl Observer for InformationObserver {
     }
 }
 
+/// Runs the preset `paper` with `fields`, each of the form `field=value`, and with Ψ = `psi`.
 fn run(fields: &[&str], psi: f64) -> (RunOutcome, InformationObserver) {
     let psi = format!("sensing.psi={psi:?}");
     let scenario = paper(&[fields, &[psi.as_str()]].concat());
@@ -96,8 +100,12 @@ fn a_run_scales_with_psi() {
                     "report with {unit_information} for Ψ = 1 has {information}, {case}"
                 );
             }
-            assert_eq!(unit.events.len(), scaled.events.len(), "events, {case}");
-            for (unit_information, information) in unit.events.iter().zip(&scaled.events) {
+            assert_eq!(
+                unit.event_information.len(),
+                scaled.event_information.len(),
+                "events, {case}"
+            );
+            for (unit_information, information) in unit.event_information.iter().zip(&scaled.event_information) {
                 // Information of events is rounded to 1e-12.
                 assert!(
                     (psi * unit_information - information).abs() < 1e-11,
@@ -121,5 +129,6 @@ fn a_run_scales_with_psi() {
         }
         wake_up_count += unit.wake_ups.len();
     }
+    // Not a requirement: without wake-ups the comparison would be vacuous.
     assert!(wake_up_count > 3000, "only {wake_up_count} wake-ups");
 }

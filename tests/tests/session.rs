@@ -1,5 +1,6 @@
 //! `Session` driven by a test shell that behaves like the shell on the bus, against the run in memory: late totals,
-//! repeated actions, hosts lost during a wake-up, and results that fit no action.
+//! repeated actions, hosts lost during a wake-up, and a result that fits no action. Queued inputs and external policies
+//! are not tested here.
 
 use std::cell::Cell;
 
@@ -19,6 +20,8 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::scenarios::paper;
 
 const DEVICES: u32 = 60;
+/// Number of devices of the lost host.
+const LOST_DEVICES: u32 = 4;
 /// Length of a window, TTIs.
 const WINDOW: u64 = 7;
 
@@ -64,6 +67,7 @@ fn prepared(policy: &str) -> PreparedRun {
 /// Loss of a host while the outcome of a wake-up is due.
 #[derive(Clone, Copy)]
 struct HostLoss {
+    /// First of the `count` consecutive devices of the host.
     first: DeviceId,
     count: u32,
     tti: Tti,
@@ -71,8 +75,9 @@ struct HostLoss {
     wake_up: u32,
 }
 
-/// Drives a run like the shell on the bus: it requests actions without an answer twice, and the totals of a window
-/// arrive with the answers to the next grant. It stops at the end of the first window that reaches TTI `stop`.
+/// Drives a run like the shell on the bus, `bs/src/server/run_loop.rs`, whose order of steps it repeats: it requests
+/// actions without an answer twice, and the totals of a window arrive with the answers to the next grant. It stops at
+/// the end of the first window that reaches TTI `stop`.
 fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutcome, RunRecorder) {
     let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
     let physics = Physics::new(
@@ -221,11 +226,13 @@ fn a_host_lost_during_a_wake_up_equals_a_scheduled_removal() {
     let mut recorder = WakeUpRecorder::default();
     Run::new(&prepared, RunOptions::default()).finish(&mut recorder);
     // The second wake-up of a TTI, so that its number has an effect.
-    let pair = recorder.0.windows(2).find(|pair| pair[0].0 == pair[1].0);
+    let same_tti = |pair: &&[(Tti, DeviceId)]| pair[0].0 == pair[1].0;
+    let pair = recorder.wake_ups.windows(2).find(same_tti);
     let (tti, device) = pair.expect("a TTI with two wake-ups")[1];
     let loss = HostLoss {
-        first: DeviceId(device.0.saturating_sub(2).min(DEVICES - 4)),
-        count: 4,
+        // The woken device is among the lost ones.
+        first: DeviceId(device.0.saturating_sub(2).min(DEVICES - LOST_DEVICES)),
+        count: LOST_DEVICES,
         tti,
         wake_up: 1,
     };
@@ -241,18 +248,22 @@ fn a_host_lost_during_a_wake_up_equals_a_scheduled_removal() {
     assert_eq!((outcome, recorded), run(&prepared, &[removal]));
 }
 
-/// TTIs and devices of the wake-ups of a run.
+/// Observer of the sent wake-ups.
 #[derive(Default)]
-struct WakeUpRecorder(Vec<(Tti, DeviceId)>);
+struct WakeUpRecorder {
+    /// TTIs and devices, in order.
+    wake_ups: Vec<(Tti, DeviceId)>,
+}
 
 impl Observer for WakeUpRecorder {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::WakeUpSent { tti, device, .. } = notification {
-            self.0.push((*tti, *device));
+            self.wake_ups.push((*tti, *device));
         }
     }
 }
 
+/// `Session::apply_result` panics with this text.
 #[test]
 #[should_panic(expected = "no action of phase Between has reports as its result")]
 fn a_result_that_fits_no_action_is_refused() {

@@ -1,5 +1,6 @@
 //! The policy `patrol` of docs/writing-a-policy.md, compiled and run exactly as printed there, and the errors for
-//! policies that wake devices wrongly.
+//! policies that wake devices wrongly. Expected values follow from the defaults in docs/patrol.rs: one device in
+//! `every = 8` senses, and at most `helpers = 2` are woken. `tests/program/tutorial.rs` tests docs/tutorial.md.
 
 use std::path::Path;
 
@@ -17,6 +18,7 @@ mod patrol;
 
 use patrol::PATROL;
 
+/// Loads the preset `paper` under `patrol`, with `fields` of the form `field=value`, and prepares its run.
 fn prepare(fields: &[&str]) -> Result<PreparedRun, ScenarioError> {
     let overrides = overrides(&[&["devices=60", "ttis=2000", "policy.name=patrol"], fields].concat());
     let mut all_policies = registry::all_policies();
@@ -66,8 +68,8 @@ fn patrol_wakes_devices_and_has_one_outcome_with_and_without_lookahead() {
 fn patrol_misses_fewer_events_with_more_sensing_devices() {
     let misdetection_pct = |every: u32| {
         // Enough energy for every device.
-        let every = format!("policy.patrol.every={every}");
-        let prepared = prepare(&[&every, "harvest.lambda=0.5", "harvest.e_b=50"]).expect("a scenario");
+        let every_override = format!("policy.patrol.every={every}");
+        let prepared = prepare(&[&every_override, "harvest.lambda=0.5", "harvest.e_b=50"]).expect("a scenario");
         Run::new(&prepared, RunOptions::default())
             .finish(&mut ())
             .metrics
@@ -121,7 +123,8 @@ impl Policy for StuckSettings {
     }
 }
 
-/// Protects: policy authors, from a run that never ends or differs between memory and bus.
+/// Protects: policy authors, from a run that never ends or differs between memory and bus. Both
+/// texts below are parts of one panic in `bs/src/cycle.rs`.
 #[test]
 #[should_panic(expected = "at most once per TTI")]
 fn a_policy_that_wakes_a_device_twice_in_a_tti_is_refused() {

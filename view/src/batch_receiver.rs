@@ -1,7 +1,7 @@
 //! Receiver that takes items from another thread in batches. The recorder and the dashboard receive frames with it.
 //!
 //! A thread that waits for each item is woken for each, at the sender's cost. A thread that sleeps between batches
-//! avoids that cost. No result depends on the numbers here.
+//! avoids that cost. No result depends on the numbers here. Both threads lower their priority with [`lower_priority`].
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -16,7 +16,8 @@ const MAX_FURTHER_ITEMS: usize = 1_000;
 #[cfg(target_os = "linux")]
 const OBSERVER_NICENESS: i32 = 10;
 
-/// Receiving end of a bounded queue, whose capacity must be some thousand items or more.
+/// Receiving end of a bounded queue. Without room for the items that arrive in `BATCH_PAUSE`, the sender waits: the
+/// capacity must be some thousand items or more.
 #[derive(Debug)]
 pub struct BatchReceiver<T> {
     items: Receiver<T>,
@@ -30,11 +31,11 @@ impl<T> BatchReceiver<T> {
         Self { items, was_full: false }
     }
 
-    /// Returns the next batch, of at least one item.
+    /// Waits for the next batch, of at least one item. Sleeps for `BATCH_PAUSE` unless the last batch was full.
     ///
     /// # Errors
     /// If no item arrives within `timeout`, or every sender was dropped and no item is left.
-    pub fn next(&mut self, timeout: Duration) -> Result<Vec<T>, RecvTimeoutError> {
+    pub fn next_batch(&mut self, timeout: Duration) -> Result<Vec<T>, RecvTimeoutError> {
         let mut batch = vec![self.items.recv_timeout(timeout)?];
         // A full batch means that more is waiting already, and the queue must not fill up.
         if !self.was_full {
@@ -62,33 +63,36 @@ mod tests {
     #[test]
     fn all_items_arrive_in_order() {
         // Fewer places than items, so that the sender waits at times.
-        let (send, items) = sync_channel(4_096);
-        let sender = std::thread::spawn(move || {
+        let (sender, items) = sync_channel(4_096);
+        let sending_thread = std::thread::spawn(move || {
             for item in 0..20_000 {
-                send.send(item).expect("the receiver is alive");
+                sender.send(item).expect("the receiver is alive");
             }
         });
         let mut batches = BatchReceiver::new(items);
         let mut received = Vec::new();
         let error = loop {
-            match batches.next(Duration::from_secs(20)) {
+            match batches.next_batch(Duration::from_secs(20)) {
                 Ok(batch) => received.extend(batch),
                 Err(error) => break error,
             }
         };
-        sender.join().expect("sent");
+        sending_thread.join().expect("sent");
         assert_eq!(error, RecvTimeoutError::Disconnected);
         assert!(received.into_iter().eq(0..20_000));
     }
 
     #[test]
     fn a_timeout_and_a_lost_sender_are_reported() {
-        let (send, items) = sync_channel::<u8>(1);
+        let (sender, items) = sync_channel::<u8>(1);
         let mut batches = BatchReceiver::new(items);
-        assert_eq!(batches.next(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));
-        drop(send);
         assert_eq!(
-            batches.next(Duration::from_millis(1)),
+            batches.next_batch(Duration::from_millis(1)),
+            Err(RecvTimeoutError::Timeout)
+        );
+        drop(sender);
+        assert_eq!(
+            batches.next_batch(Duration::from_millis(1)),
             Err(RecvTimeoutError::Disconnected)
         );
     }

@@ -1,4 +1,4 @@
-//! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
+//! Comparison of two runs: the first difference in each kind of message. `reveille compare` and the dashboard use it.
 //!
 //! Only decisions and outcomes are compared: actions of operators, removals, δ plans, events, reports that arrive, are
 //! lost or fail, wake-ups and their outcomes. Grants and answers are ignored, so a run with lookahead equals the same
@@ -17,7 +17,7 @@ use toml::{Table, Value};
 use crate::frame_line::{FrameLine, key_owner};
 use crate::recording::{RecordingError, RecordingReader};
 
-/// The kinds that are compared, in the order of their occurrence in a TTI.
+/// The kinds that are compared, in the order of their occurrence in a TTI. The differences of a TTI have this order.
 const COMPARED: [MessageKind; 9] = [
     MessageKind::Action,
     MessageKind::Plan,
@@ -30,7 +30,7 @@ const COMPARED: [MessageKind; 9] = [
     MessageKind::Woken,
 ];
 
-/// One of the two runs.
+/// One of the two runs. As a number it is an index of `RunComparison::reached`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunSide {
     /// The run under examination.
@@ -65,14 +65,16 @@ impl FirstDifference {
     /// Describes the message of the run on `side`. If both messages read alike, the description lists all fields as
     /// JSON.
     pub fn describe(&self, side: RunSide) -> String {
-        let (own, others) = match side {
+        let (described, opposite) = match side {
             RunSide::This => (&self.this, &self.other),
             RunSide::Other => (&self.other, &self.this),
         };
-        match (own, others) {
+        match (described, opposite) {
             (None, _) => "nothing".to_owned(),
-            (Some(own), Some(others)) if describe_frame(own) == describe_frame(others) => FrameLine::new(own).to_json(),
-            (Some(own), _) => describe_frame(own),
+            (Some(described), Some(opposite)) if describe_frame(described) == describe_frame(opposite) => {
+                FrameLine::new(described).to_json()
+            }
+            (Some(described), _) => describe_frame(described),
         }
     }
 
@@ -108,11 +110,12 @@ fn covered_devices(plan: &Plan) -> usize {
     }
 }
 
-/// Messages of one kind.
+/// Comparison of the messages of one kind.
 #[derive(Debug, Default)]
 struct KindComparison {
     /// Messages of the run that is ahead, which wait for their counterparts from the other run.
     waiting: VecDeque<Frame>,
+    /// Run of the waiting messages; kept when none waits any more.
     ahead: Option<RunSide>,
     first_difference: Option<FirstDifference>,
 }
@@ -126,7 +129,7 @@ pub struct RunComparison {
 }
 
 impl RunComparison {
-    /// Adds a frame of the run on `side`. The frames of each side must come in order of TTI.
+    /// Adds a frame of the run on `side`. The frames of each side must come in order of TTI, none after [`Self::end`].
     pub fn push(&mut self, side: RunSide, frame: &Frame) {
         // First, so that older messages of the other run without a counterpart are found before this one is matched.
         self.advance(side, frame.tti);
@@ -189,7 +192,8 @@ impl RunComparison {
 }
 
 impl KindComparison {
-    /// Records the first difference. If the TTIs differ, only the earlier message is kept, without a counterpart.
+    /// Records the first difference. If the TTIs differ, only the earlier message is kept, without a counterpart. Does
+    /// nothing without any message.
     fn record_difference(&mut self, message: Option<(RunSide, Frame)>, counterpart: Option<(RunSide, Frame)>) {
         let Some(tti) = message.iter().chain(&counterpart).map(|(_, frame)| frame.tti).min() else {
             return;
@@ -235,19 +239,21 @@ pub fn compare_recordings<R: Read + Seek>(
     (comparison, None)
 }
 
-/// A scenario field that differs: its name, this value and the other value.
+/// A scenario field that differs: its name, the value of this run and the value of the other run, both as TOML or
+/// `none`.
 pub type FieldDifference = (String, String, String);
 
 /// Lists the fields in which two scenario files differ, sorted by name. A missing field has its default value, or
-/// `none` where it is unknown or has no effect.
+/// `none` where it is unknown or has no effect. Presets are not applied: the texts must be resolved scenarios, such as
+/// the `scenario.toml` of a run folder.
 ///
 /// # Errors
 /// If one of the texts is not valid TOML.
 pub fn compare_scenarios(this: &str, other: &str) -> Result<Vec<FieldDifference>, toml::de::Error> {
-    let (mut these, mut others) = (BTreeMap::new(), BTreeMap::new());
-    flatten("", this.parse()?, &mut these);
-    flatten("", other.parse()?, &mut others);
-    let mut names: Vec<&String> = these.keys().chain(others.keys()).collect();
+    let (mut this_fields, mut other_fields) = (BTreeMap::new(), BTreeMap::new());
+    flatten("", this.parse()?, &mut this_fields);
+    flatten("", other.parse()?, &mut other_fields);
+    let mut names: Vec<&String> = this_fields.keys().chain(other_fields.keys()).collect();
     names.sort_unstable();
     names.dedup();
     let declaration = declaration();
@@ -261,7 +267,7 @@ pub fn compare_scenarios(this: &str, other: &str) -> Result<Vec<FieldDifference>
     };
     Ok(names
         .into_iter()
-        .map(|name| (name.clone(), value(&these, name), value(&others, name)))
+        .map(|name| (name.clone(), value(&this_fields, name), value(&other_fields, name)))
         .filter(|(_, this, other)| this != other)
         .collect())
 }
@@ -277,6 +283,7 @@ fn default_value(declaration: &Declaration, fields: &BTreeMap<String, String>, n
     has_effect.then(|| field.default.to_toml()).flatten()
 }
 
+/// Adds the values below `path` to `fields`, as TOML by dotted name. A list of tables is one value.
 fn flatten(path: &str, table: Table, fields: &mut BTreeMap<String, String>) {
     for (name, value) in table {
         let path = if path.is_empty() {
@@ -301,11 +308,18 @@ mod tests {
 
     use super::*;
 
-    /// Returns the frames of a run of 30 devices and 300 TTIs with the fields in `set`.
-    fn frames(set: &[&str], lookahead: bool) -> Vec<Frame> {
-        let set = ["devices=30", "ttis=300", "policy.name=age-index"].iter().chain(set);
-        let set: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-        let scenario = load("paper", &set).expect("a scenario").scenario;
+    /// Length of the runs; a case below has one TTI less.
+    const TTIS: u64 = 300;
+
+    /// Returns the frames of a run of 30 devices and [`TTIS`] TTIs with `fields` of the form `field=value`.
+    fn frames(fields: &[&str], lookahead: bool) -> Vec<Frame> {
+        let ttis = format!("ttis={TTIS}");
+        let all_fields = ["devices=30", &ttis, "policy.name=age-index"];
+        let all_fields = all_fields.iter().chain(fields);
+        let overrides: Vec<Override> = all_fields
+            .map(|field| Override::parse(field).expect("an override"))
+            .collect();
+        let scenario = load("paper", &overrides).expect("a scenario").scenario;
         let mut frames = Vec::new();
         let options = RunOptions {
             lookahead,
@@ -332,7 +346,7 @@ mod tests {
 
     /// Finds the first TTI and kind that differ by searching all frames of each TTI.
     fn brute_force(this: &[Frame], other: &[Frame]) -> Option<(Tti, MessageKind)> {
-        (0..300).map(Tti).find_map(|tti| {
+        (0..TTIS).map(Tti).find_map(|tti| {
             let of_kind = |frames: &[Frame], kind| -> Vec<Frame> {
                 let selected = frames.iter().filter(|frame| frame.tti == tti && frame.kind == kind);
                 selected.cloned().collect()
@@ -347,14 +361,14 @@ mod tests {
     #[test]
     fn the_first_difference_equals_a_brute_force_search() {
         let this = frames(&[], true);
-        for set in [
+        for fields in [
             &["seed=2"][..],
             &["policy.age-index.price=0.5"],
             &["events.duration=3"],
             &["ttis=299"],
             &["policy.name=random"],
         ] {
-            let other = frames(set, true);
+            let other = frames(fields, true);
             let expected = brute_force(&this, &other).expect("a difference");
             for stride in [1, 7, 1_000_000] {
                 let comparison = compare_all(&this, &other, stride);
@@ -366,11 +380,15 @@ mod tests {
                         .map(|difference| (difference.tti, difference.kind))
                         .collect()
                 };
-                assert_eq!(positions(&comparison), positions(&mirrored), "{set:?}, stride {stride}");
+                assert_eq!(
+                    positions(&comparison),
+                    positions(&mirrored),
+                    "{fields:?}, stride {stride}"
+                );
                 let differences = comparison.differences();
                 let first = differences.first().expect("a difference");
-                assert_eq!((first.tti, first.kind), expected, "{set:?}, stride {stride}");
-                assert_ne!(first.this, first.other, "{set:?}");
+                assert_eq!((first.tti, first.kind), expected, "{fields:?}, stride {stride}");
+                assert_ne!(first.this, first.other, "{fields:?}");
                 assert_eq!(comparison.compared_until(), Tti::NEVER);
             }
         }
@@ -378,8 +396,8 @@ mod tests {
 
     #[test]
     fn lookahead_makes_no_difference() {
-        let set = ["policy.name=knn"];
-        let (this, other) = (frames(&set, true), frames(&set, false));
+        let fields = ["policy.name=knn"];
+        let (this, other) = (frames(&fields, true), frames(&fields, false));
         assert_ne!(this.len(), other.len(), "lookahead changes the grants");
         assert!(compare_all(&this, &other, 5).differences().is_empty());
     }

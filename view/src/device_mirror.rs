@@ -2,7 +2,8 @@
 //!
 //! Device states follow from the scenario, plans, stimuli and wake-ups, so an observer can compute them without
 //! receiving them. Reports and failures in the frames are checked against the mirrored machines. The machines must be
-//! called as in `lab/src/run.rs`, or states diverge from the run.
+//! called as in `lab/src/run.rs`, or states diverge from the run. `reconstruction`, `history` and the Perfetto export
+//! use the mirror; `inspect verify` prints the texts of discrepancies.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -38,9 +39,10 @@ pub struct DeviceMirror {
     physics: Physics,
     radio: RadioSettings,
     air: Air,
-    /// Number of devices that missed the last plan.
-    devices_without_plan: u64,
-    plan: Option<Plan>,
+    /// Number of devices that missed `sent_plan`.
+    missed_plan_count: u64,
+    /// The latest plan of the base station; a device that missed it keeps an earlier one.
+    sent_plan: Option<Plan>,
     /// The latest grant; `None` before the first one.
     grant: Option<WorldUpdate>,
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
@@ -57,7 +59,7 @@ pub struct DeviceMirror {
     /// Whether the report of the open wake-up has arrived.
     has_reported: bool,
     /// Changes that operators make at the start of the next TTI.
-    changes: Vec<Change>,
+    pending_changes: Vec<Change>,
 }
 
 impl DeviceMirror {
@@ -79,9 +81,9 @@ impl DeviceMirror {
                 .collect(),
             radio: scenario.radio,
             air: Air::new(scenario.run.seed, &scenario.radio),
-            devices_without_plan: 0,
+            missed_plan_count: 0,
             physics,
-            plan: None,
+            sent_plan: None,
             grant: None,
             expected_reports: VecDeque::new(),
             expected_failures: VecDeque::new(),
@@ -90,7 +92,7 @@ impl DeviceMirror {
             before_wake_up: None,
             open_wake_up: None,
             has_reported: false,
-            changes: Vec::new(),
+            pending_changes: Vec::new(),
         }
     }
 
@@ -99,14 +101,14 @@ impl DeviceMirror {
         self.grant.map(|world| world.last)
     }
 
-    /// The current plan.
+    /// The latest plan of the base station. Devices that missed it keep an earlier one.
     pub const fn plan(&self) -> Option<&Plan> {
-        self.plan.as_ref()
+        self.sent_plan.as_ref()
     }
 
     /// Number of devices that missed the last plan.
-    pub const fn devices_without_plan(&self) -> u64 {
-        self.devices_without_plan
+    pub const fn missed_plan_count(&self) -> u64 {
+        self.missed_plan_count
     }
 
     /// Number of devices that could not pay for sensing the event in the current TTI.
@@ -120,7 +122,7 @@ impl DeviceMirror {
     }
 
     /// Whether a wake-up is open, that is, its outcome has not arrived.
-    pub(crate) const fn is_waking(&self) -> bool {
+    pub(crate) const fn has_open_wake_up(&self) -> bool {
         self.open_wake_up.is_some()
     }
 
@@ -133,7 +135,9 @@ impl DeviceMirror {
     }
 
     /// Advances all devices to TTI `tti` under the current plan and returns their views, in the order of ids. The views
-    /// are valid unless more frames up to `tti` follow. Successive calls may step through the coming TTIs.
+    /// are valid unless more frames up to `tti` follow. Successive calls may step through the coming TTIs. After a call
+    /// for a coming TTI, [`Self::ledgers`] panics until a grant has reached that TTI, and [`Self::view`] returns its
+    /// state.
     ///
     /// # Panics
     /// If a device is already past `tti`.
@@ -170,6 +174,9 @@ impl DeviceMirror {
     }
 
     /// Ledgers of all devices if the run ended after the current TTI, in the order of ids.
+    ///
+    /// # Panics
+    /// If a device is past the current TTI, after [`Self::views_at`] or [`Self::view_at`].
     pub fn ledgers(&self) -> Vec<Ledger> {
         let end = self.next_tti();
         // On copies: settling closes the open TTI, and the run may continue.
@@ -191,7 +198,8 @@ impl DeviceMirror {
         Some(machine.ledger())
     }
 
-    /// Applies `frame`, whose decoded content is `message`.
+    /// Applies `frame`, whose decoded content is `message`. Frames must come in the order of the run from TTI 0 on.
+    /// Frames of the emulation plane have no effect.
     ///
     /// # Errors
     /// If the frame contradicts the frames before it. Later frames can still be applied, but may fail too.
@@ -229,7 +237,7 @@ impl DeviceMirror {
             },
             Message::States(states) => {
                 let views = self.views();
-                let differs = |(own, received): (&DeviceView, &DeviceView)| own != received;
+                let differs = |(mirrored, received): (&DeviceView, &DeviceView)| mirrored != received;
                 match views.iter().zip(&states.views).position(differs) {
                     None if views.len() == states.views.len() => Ok(()),
                     None => Err(format!("states of {} devices, not {}", states.views.len(), views.len())),
@@ -274,6 +282,7 @@ impl DeviceMirror {
         }
     }
 
+    /// Delivers a plan after the last message of the current TTI, whose views stay available.
     fn apply_plan(&mut self, update: &PlanUpdate) -> Result<(), String> {
         self.end_tti()?;
         let next = self.next_tti();
@@ -283,14 +292,14 @@ impl DeviceMirror {
         let now = self.current_tti();
         let Self { air, machines, .. } = self;
         let (from, count) = (update.from, machines.len());
-        self.devices_without_plan = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
+        self.missed_plan_count = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
             // A new duty cycle ends the current TTI, which is begun first, so that its state stays visible.
             if let Some(now) = now {
                 begin(&mut machines[j], now);
             }
             machines[j].set_duty(from, cycle);
         });
-        self.plan = Some(update.plan.clone());
+        self.sent_plan = Some(update.plan.clone());
         Ok(())
     }
 
@@ -304,7 +313,7 @@ impl DeviceMirror {
         if action.change.devices().is_some_and(|range| !range.is_valid(devices)) {
             return Err(format!("{action}, and the run has {devices} devices"));
         }
-        self.changes.push(action.change);
+        self.pending_changes.push(action.change);
         Ok(())
     }
 
@@ -316,8 +325,9 @@ impl DeviceMirror {
         }
     }
 
+    /// Applies the pending changes at the start of TTI `tti`.
     fn apply_changes(&mut self, tti: Tti) {
-        for change in std::mem::take(&mut self.changes) {
+        for change in std::mem::take(&mut self.pending_changes) {
             let devices = change.devices().into_iter().flat_map(DeviceRange::devices);
             devices.for_each(|device| self.machines[device.index()].apply(tti, &change));
         }
@@ -327,7 +337,7 @@ impl DeviceMirror {
     fn apply_grant(&mut self, world: WorldUpdate) -> Result<(), String> {
         self.end_tti()?;
         self.check_grant(&world)?;
-        if self.plan.is_none() {
+        if self.sent_plan.is_none() {
             return Err("there is no plan yet".to_owned());
         }
         self.apply_changes(world.first);
@@ -381,8 +391,8 @@ impl DeviceMirror {
             undone.extend(self.before_wake_up.take());
         }
         for machine in undone.into_iter().filter(|machine| removal.contains(machine.id())) {
-            let at = machine.id().index();
-            self.machines[at] = machine;
+            let index = machine.id().index();
+            self.machines[index] = machine;
         }
         // `is_valid` above has checked the range.
         for machine in &mut self.machines[removal.first.index()..=removal.last().index()] {
@@ -403,30 +413,35 @@ impl DeviceMirror {
 
     /// Checks a report that arrived or, if `is_lost`, was lost on the air.
     fn check_report(&mut self, report: &Report, is_lost: bool) -> Result<(), String> {
-        if let Some((device, WakeOutcome::Reported(own))) = &self.open_wake_up
+        if let Some((device, WakeOutcome::Reported(expected))) = &self.open_wake_up
             && *device == report.device
         {
-            self.has_reported = own == report;
+            self.has_reported = expected == report;
             return if self.has_reported {
                 Ok(())
             } else {
-                Err(format!("device {device} reported: {own}; not: {report}"))
+                Err(format!("device {device} reported: {expected}; not: {report}"))
             };
         }
-        let index = self.expected_reports.iter().position(|own| own.device == report.device);
-        let own = index.and_then(|index| self.expected_reports.remove(index));
-        let own = own.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
-        if own != *report {
-            return Err(format!("device {} reported: {own}; not: {report}", own.device));
+        let is_from_sender = |expected: &Report| expected.device == report.device;
+        let index = self.expected_reports.iter().position(is_from_sender);
+        let expected = index.and_then(|index| self.expected_reports.remove(index));
+        let expected = expected.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
+        if expected != *report {
+            return Err(format!(
+                "device {} reported: {expected}; not: {report}",
+                expected.device
+            ));
         }
-        if self.air.losses_at(report.tti).loses_report(own.device) == is_lost {
+        if self.air.losses_at(report.tti).loses_report(expected.device) == is_lost {
             Ok(())
         } else {
             let correction = if is_lost { "arrived" } else { "was lost" };
-            Err(format!("the report of device {} {correction}", own.device))
+            Err(format!("the report of device {} {correction}", expected.device))
         }
     }
 
+    /// Wakes device `number` of an open event. The outcome must follow before the next wake-up.
     fn apply_wake_up(&mut self, number: Option<u32>, wake: WakeUp) -> Result<(), String> {
         let world = self.grant.ok_or("a wake-up before the first TTI")?;
         let stimulus = world.stimulus.ok_or("a wake-up without an event")?;
@@ -464,17 +479,18 @@ mod tests {
     use super::*;
 
     /// Returns a scenario of 30 devices that often lack energy, and the frames of its run with `actions`.
+    /// `recording/tests.rs` tests reconstructions of whole runs.
     fn frames_of_run(policy: &str, actions: &[OperatorAction], lookahead: bool) -> (Scenario, Vec<Frame>) {
         let policy = format!("policy.name={policy}");
-        let set = [
+        let fields = [
             "devices=30",
             "ttis=300",
             "harvest.lambda=0.04",
             "events.alpha=0.05",
             &policy,
         ];
-        let set = set.map(|set| Override::parse(set).expect("an override"));
-        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let overrides = fields.map(|field| Override::parse(field).expect("an override"));
+        let scenario = load("paper", &overrides).expect("a scenario").scenario;
         let options = RunOptions {
             lookahead,
             ..RunOptions::default()
@@ -491,17 +507,17 @@ mod tests {
     fn a_plan_does_not_change_the_views_of_the_current_tti() {
         let (scenario, frames) = frames_of_run("age-index", &[], true);
         let mut mirror = DeviceMirror::new(&scenario, &Deployment::new(&scenario));
-        let mut plans = 0;
+        let mut plan_count = 0;
         for frame in &frames {
             let message = frame.message().expect("a message");
             let before = mirror.clone().views();
             mirror.apply(frame, &message).expect("a consistent frame");
             if matches!(message, Message::Plan(_)) {
                 assert_eq!(mirror.clone().views(), before, "{}", frame.tti);
-                plans += 1;
+                plan_count += 1;
             }
         }
-        assert!(plans > 50, "{plans} plans");
+        assert!(plan_count > 50, "{plan_count} plans");
     }
 
     /// Grants of single TTIs are the reference.

@@ -1,5 +1,6 @@
 //! Filters for frames, from the options of `inspect tail`, `export` and the dashboard. The names in [`StateName::ALL`]
-//! are values of `--state` and of the dashboard, listed in docs/inspecting.md.
+//! are values of `--state` and of the dashboard's query, listed in docs/inspecting.md. A new criterion also needs an
+//! option in `deploy/src/cli/inspect.rs` and a field of `MessageQuery` in `deploy/src/dashboard/api.rs`.
 
 use std::ops::RangeInclusive;
 
@@ -23,7 +24,7 @@ pub struct Filter {
     pub states: Vec<StateName>,
 }
 
-/// State of a device, as named on the command line.
+/// State of a device, as named on the command line. The names overlap: `S4` covers `unpowered`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StateName {
     /// S1: sensing.
@@ -86,7 +87,7 @@ impl Filter {
             })
     }
 
-    /// Whether no frame of `tti` or later passes.
+    /// Whether no frame of `tti` or later passes, since it is after the filter's TTIs.
     pub fn is_over(&self, tti: Tti) -> bool {
         self.ttis.as_ref().is_some_and(|ttis| tti.0 > *ttis.end())
     }
@@ -99,8 +100,8 @@ impl Filter {
     /// Checks that the plane excludes none of the kinds.
     ///
     /// # Errors
-    /// If it does; the message uses the terms of the command line.
-    pub fn check(&self) -> Result<(), String> {
+    /// If it does; the message uses the options of the command line, and the dashboard shows it too.
+    pub fn check_kinds(&self) -> Result<(), String> {
         let Some(plane) = self.plane else { return Ok(()) };
         match self.kinds.iter().find(|kind| kind.plane() != plane) {
             Some(kind) => Err(format!(
@@ -235,7 +236,7 @@ mod tests {
             kinds: vec![MessageKind::Wake, MessageKind::Clock],
             ..Filter::default()
         };
-        let message = filter.check().expect_err("refused");
+        let message = filter.check_kinds().expect_err("refused");
         assert!(
             message.contains("--plane air") && message.contains("--kind clock"),
             "{message}"

@@ -1,6 +1,10 @@
 //! A frame as one line: text for a reader, or JSON for programs and recordings. The JSON form is a file format of
 //! version [`VERSION`](crate::recording::VERSION): recordings hold it, `schemas` describes it, and `from_json` must
-//! read what [`FrameLine::to_json`] writes. `wake_up_pairs` prints the same columns as text.
+//! read what [`FrameLine::to_json`] writes. `wake_up_pairs` prints the same columns as text. `inspect tail` prints both
+//! forms.
+//!
+//! Reading restores the payload by encoding the message again. This needs one encoding for each message, and the
+//! feature `float_roundtrip` of `serde_json`.
 
 use std::fmt::{self, Write as _};
 
@@ -28,12 +32,13 @@ pub(crate) enum LineError {
     /// Unknown kind of message.
     #[error("there is no kind of message {0:?} on the plane {1:?}")]
     Kind(String, String),
-    /// A malformed payload is not in hexadecimal digits.
+    /// A malformed payload is not in hexadecimal digits. `recording` also reports text that is not UTF-8 with it.
     #[error("the malformed payload does not consist of pairs of hexadecimal digits")]
     Hex,
 }
 
-/// JSON object of a frame, for writing.
+/// JSON object of a frame, for writing. Its fields are keys of the file format, in this order; [`ParsedLine`] reads
+/// them.
 #[derive(Serialize)]
 struct WrittenLine<'a> {
     tti: u64,
@@ -44,6 +49,7 @@ struct WrittenLine<'a> {
     message: LineBody<'a>,
 }
 
+/// Value of the key `message`.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum LineBody<'a> {
@@ -51,7 +57,7 @@ enum LineBody<'a> {
     Malformed { malformed: String, payload: String },
 }
 
-/// JSON object of a frame, for reading.
+/// JSON object of a frame, for reading. `bytes` is not read: it follows from the payload.
 #[derive(Deserialize)]
 struct ParsedLine<'a> {
     tti: u64,
@@ -62,6 +68,7 @@ struct ParsedLine<'a> {
     message: &'a RawValue,
 }
 
+/// [`LineBody::Malformed`], for reading; the text of the error is not read.
 #[derive(Deserialize)]
 struct Malformed {
     payload: String,
@@ -120,7 +127,7 @@ impl fmt::Display for FrameLine<'_> {
     }
 }
 
-/// Names the owner of the number in a key, such as `device 7`.
+/// Names the owner of the number in a key, such as `device 7`; an empty text for a kind without a number.
 pub fn key_owner(kind: MessageKind, number: Option<u32>) -> String {
     number.map_or_else(String::new, |number| format!("{} {number}", kind.addressee().name()))
 }

@@ -22,18 +22,20 @@ const MIN_SNAPSHOT_SPACING: u64 = 500;
 
 /// A run, or the stored part of it.
 pub struct RunHistory {
+    /// The stored frames, of all planes.
     frames: VecDeque<Frame>,
     /// Number of the first stored frame, counted from the start of the run.
     first_frame: u64,
     snapshots: VecDeque<ResumeSnapshot>,
-    now: Reconstruction,
+    /// The run after all frames so far.
+    reconstruction: Reconstruction,
     /// Messages of the current TTI, without device states.
     latest: TtiSnapshot,
     /// Approximate number of past TTIs to store; the snapshots' spacing adds to it.
     max_ttis: u64,
 }
 
-/// Snapshot of a run, from which later TTIs can be computed.
+/// Snapshot of a run, from which later TTIs of the same [`RunHistory`] can be computed.
 #[derive(Clone, Debug)]
 pub struct ResumeSnapshot {
     /// The next TTI after the snapshot. No device is past it.
@@ -53,23 +55,23 @@ pub struct HistorySpan {
     end: Tti,
 }
 
-/// A TTI of a run.
+/// A TTI of a run. `snapshot_json` in `deploy/src/dashboard/feed.rs` sends every field to the page.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TtiSnapshot {
     /// State and battery of all devices at its end, in the order of ids.
     pub views: Vec<DeviceView>,
-    /// Whether the plan lets each device sense in it.
-    pub on: Vec<bool>,
+    /// Whether the plan lets each device sense in it, in the order of ids.
+    pub planned_on: Vec<bool>,
     /// The event in progress.
     pub event: Option<Stimulus>,
     /// The event that ended with it.
-    pub ended: Option<EventRecord>,
+    pub ended_event: Option<EventRecord>,
     /// Devices that reported without a wake-up.
-    pub reported: Vec<DeviceId>,
+    pub reporters: Vec<DeviceId>,
     /// Devices that reported without a wake-up, but whose reports were lost.
-    pub lost: Vec<DeviceId>,
+    pub lost_report_senders: Vec<DeviceId>,
     /// Devices that detected the event but lacked the energy for a report.
-    pub failed: Vec<DeviceId>,
+    pub failed_reporters: Vec<DeviceId>,
     /// Woken devices, in the order of their wake-ups, with the outcomes.
     pub woken: Vec<(DeviceId, WakeOutcome)>,
     /// Position estimate of the base station after all reports of the TTI, if the policy keeps one.
@@ -79,28 +81,29 @@ pub struct TtiSnapshot {
 impl RunHistory {
     /// Creates the history of a run of `scenario` before TTI 0. It keeps at least the last `max_ttis` TTIs.
     pub fn new(scenario: &Scenario, max_ttis: u64) -> Self {
-        let now = Reconstruction::new(scenario);
+        let reconstruction = Reconstruction::new(scenario);
         let start = ResumeSnapshot {
             next_tti: Tti::ZERO,
             next_frame: 0,
-            run: now.clone(),
+            run: reconstruction.clone(),
         };
         Self {
             frames: VecDeque::new(),
             first_frame: 0,
             snapshots: VecDeque::from([start]),
-            now,
+            reconstruction,
             latest: TtiSnapshot::default(),
             max_ttis,
         }
     }
 
-    /// Appends `frame`.
+    /// Appends `frame`. Frames must come in the order of the run: searches rely on TTIs that never decrease.
     ///
     /// # Errors
-    /// If the frame contradicts the frames before it. The states from there on can differ from the run.
+    /// If the frame contradicts the frames before it. It is stored all the same, and more frames may follow, but the
+    /// states from there on can differ from the run.
     pub fn push(&mut self, frame: Frame) -> Result<(), Discrepancy> {
-        let next = self.now.mirror().next_tti();
+        let next = self.reconstruction.mirror().next_tti();
         let is_between_grants = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
         // Saved only between two grants, where no report or outcome is outstanding.
         let is_due = |snapshot: &ResumeSnapshot| next - snapshot.next_tti >= MIN_SNAPSHOT_SPACING;
@@ -108,11 +111,11 @@ impl RunHistory {
             self.snapshots.push_back(ResumeSnapshot {
                 next_tti: next,
                 next_frame: self.first_frame + self.frames.len() as u64,
-                run: self.now.clone(),
+                run: self.reconstruction.clone(),
             });
             self.drop_old(next);
         }
-        let result = self.now.apply(&frame);
+        let result = self.reconstruction.apply(&frame);
         if is_between_grants {
             self.latest = TtiSnapshot::default();
         } else if TtiSnapshot::RECORDED_KINDS.contains(&frame.kind)
@@ -125,32 +128,32 @@ impl RunHistory {
         result
     }
 
-    /// Current state of the run.
-    pub const fn now(&self) -> &Reconstruction {
-        &self.now
+    /// The run after all frames so far.
+    pub const fn reconstruction(&self) -> &Reconstruction {
+        &self.reconstruction
     }
 
     /// Current state and battery of all devices, in the order of ids.
     pub fn views(&mut self) -> Vec<DeviceView> {
-        self.now.mirror_mut().views()
+        self.reconstruction.mirror_mut().views()
     }
 
     /// The current TTI, from the frames received so far.
     pub fn latest(&mut self) -> TtiSnapshot {
         let views = self.views();
-        let on = match self.now.mirror().current_tti() {
-            Some(tti) => sensing_flags(&self.now, tti, views.len()),
+        let planned_on = match self.reconstruction.mirror().current_tti() {
+            Some(tti) => sensing_flags(&self.reconstruction, tti, views.len()),
             None => Vec::new(),
         };
         // An event that ends with the current TTI is still in progress in it.
-        let ended = self.latest.ended.map(|record| Stimulus {
+        let ended_stimulus = self.latest.ended_event.map(|record| Stimulus {
             event: record.event,
             epicentre: record.epicentre,
         });
         TtiSnapshot {
             views,
-            on,
-            event: self.now.stimulus().or(ended),
+            planned_on,
+            event: self.reconstruction.stimulus().or(ended_stimulus),
             ..self.latest.clone()
         }
     }
@@ -158,7 +161,7 @@ impl RunHistory {
     /// Range of the available TTIs: the first, and the one after the last.
     pub fn available_ttis(&self) -> (Tti, Tti) {
         let first = self.snapshots.front().map_or(Tti::ZERO, |snapshot| snapshot.next_tti);
-        (first, self.now.mirror().next_tti())
+        (first, self.reconstruction.mirror().next_tti())
     }
 
     /// Returns TTI `tti`, if available.
@@ -195,7 +198,7 @@ impl RunHistory {
         if tti_snapshot.views.is_empty() {
             tti_snapshot.views = run.mirror_mut().views();
         }
-        tti_snapshot.on = sensing_flags(&run, tti, tti_snapshot.views.len());
+        tti_snapshot.planned_on = sensing_flags(&run, tti, tti_snapshot.views.len());
         Some(tti_snapshot)
     }
 
@@ -233,7 +236,7 @@ impl RunHistory {
         views
     }
 
-    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, which
+    /// Copies the data of the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, which
     /// [`HistorySpan::for_each_tti`] returned for this history, if it is closer to `from` than the history's own
     /// snapshots. `None` if no such TTI is available.
     pub fn span(&self, from: Tti, end: Tti, earlier_snapshot: Option<ResumeSnapshot>) -> Option<HistorySpan> {
@@ -242,9 +245,9 @@ impl RunHistory {
         if from >= end {
             return None;
         }
-        let own = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
-        let is_closer = |earlier: &ResumeSnapshot| earlier.next_tti <= from && earlier.next_tti > own.next_tti;
-        let snapshot = earlier_snapshot.filter(is_closer).unwrap_or_else(|| own.clone());
+        let stored = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
+        let is_closer = |earlier: &ResumeSnapshot| earlier.next_tti <= from && earlier.next_tti > stored.next_tti;
+        let snapshot = earlier_snapshot.filter(is_closer).unwrap_or_else(|| stored.clone());
         let numbered =
             (snapshot.next_frame..).zip(self.frames.range((snapshot.next_frame - self.first_frame) as usize..));
         let frames = numbered
@@ -305,11 +308,11 @@ impl RunHistory {
     }
 
     /// Drops snapshots and frames older than `max_ttis` TTIs.
-    fn drop_old(&mut self, next: Tti) {
+    fn drop_old(&mut self, next_tti: Tti) {
         while let Some(second) = self
             .snapshots
             .get(1)
-            .filter(|second| next - second.next_tti >= self.max_ttis)
+            .filter(|second| next_tti - second.next_tti >= self.max_ttis)
         {
             // Frames before the second snapshot are needed only to continue from the first one.
             let dropped_frames = second.next_frame - self.first_frame;
@@ -420,22 +423,23 @@ impl TtiSnapshot {
         MessageKind::Event,
     ];
 
+    /// Records a message of the TTI. A new kind here also belongs in [`Self::RECORDED_KINDS`].
     fn record(&mut self, frame: &Frame, message: &Message) {
         if let Message::Report(report) = message {
-            self.reported.push(report.device);
+            self.reporters.push(report.device);
         } else if let Message::Lost(lost) = message {
-            self.lost.push(lost.report.device);
+            self.lost_report_senders.push(lost.report.device);
         } else if let Message::Failed(failed) = message {
-            self.failed.push(failed.failure.device);
+            self.failed_reporters.push(failed.failure.device);
         } else if let (Message::Woken(woken), Some(number)) = (message, frame.number) {
             let device = DeviceId(number);
             // Its report came before the outcome and was recorded as one without a wake-up.
-            self.reported.retain(|reporter| *reporter != device);
+            self.reporters.retain(|reporter| *reporter != device);
             self.woken.push((device, woken.outcome));
         } else if let Message::Belief(belief) = message {
             self.belief = Some(belief.clone());
         } else if let Message::Event(EventUpdate::Ended(record)) = message {
-            self.ended = Some(*record);
+            self.ended_event = Some(*record);
         }
     }
 }
@@ -452,15 +456,15 @@ mod tests {
     use super::*;
 
     fn test_scenario() -> Scenario {
-        let set = [
+        let fields = [
             "devices=40",
             "ttis=2600",
             "policy.name=knn",
             "events.alpha=0.3",
             "harvest.e_b=3",
         ];
-        let set = set.map(|set| Override::parse(set).expect("an override"));
-        load("paper", &set).expect("a scenario").scenario
+        let overrides = fields.map(|field| Override::parse(field).expect("an override"));
+        load("paper", &overrides).expect("a scenario").scenario
     }
 
     /// Returns the history of a whole run that keeps at most about `max_ttis`.
@@ -471,23 +475,24 @@ mod tests {
         history
     }
 
-    /// Collects the states and counts the messages of every TTI.
+    /// Collects the states and counts the messages of every TTI. Needs a run without lookahead: one entry for each
+    /// grant.
     #[derive(Default)]
     struct StateCollector {
         states: Vec<Vec<DeviceView>>,
-        reports: Vec<usize>,
-        wake_ups: Vec<usize>,
+        report_counts: Vec<usize>,
+        wake_up_counts: Vec<usize>,
     }
 
     impl Observer for StateCollector {
         fn notify(&mut self, notification: &Notification<'_>) {
             if let Notification::TtisGranted(_) = notification {
-                self.reports.push(0);
-                self.wake_ups.push(0);
+                self.report_counts.push(0);
+                self.wake_up_counts.push(0);
             } else if let Notification::ReportReceived(_) = notification {
-                *self.reports.last_mut().expect("a TTI") += 1;
+                *self.report_counts.last_mut().expect("a TTI") += 1;
             } else if let Notification::WakeUpSent { .. } = notification {
-                *self.wake_ups.last_mut().expect("a TTI") += 1;
+                *self.wake_up_counts.last_mut().expect("a TTI") += 1;
             } else if let Notification::DeviceStates(views) = notification {
                 self.states.push(views.to_vec());
             }
@@ -515,10 +520,18 @@ mod tests {
         for k in (0..2600).filter(|k| k % 7 == 0 || k % 500 < 3) {
             let tti_snapshot = history.snapshot_at(Tti(k)).expect("snapshot");
             assert_eq!(tti_snapshot.views, collector.states[k as usize], "TTI {k}");
-            assert_eq!(tti_snapshot.reported.len(), collector.reports[k as usize], "TTI {k}");
-            assert_eq!(tti_snapshot.woken.len(), collector.wake_ups[k as usize], "TTI {k}");
+            assert_eq!(
+                tti_snapshot.reporters.len(),
+                collector.report_counts[k as usize],
+                "TTI {k}"
+            );
+            assert_eq!(
+                tti_snapshot.woken.len(),
+                collector.wake_up_counts[k as usize],
+                "TTI {k}"
+            );
             assert!(
-                tti_snapshot.reported.is_empty() || tti_snapshot.event.is_some(),
+                tti_snapshot.reporters.is_empty() || tti_snapshot.event.is_some(),
                 "TTI {k}"
             );
             let transmitting = tti_snapshot

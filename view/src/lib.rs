@@ -1,4 +1,5 @@
 //! Observation of runs: frames, live or from a recording, and the states, metrics and exports computed from them.
+//! `deploy` uses it for `reveille inspect`, `compare`, the dashboard, `--record` and `--metrics`.
 //!
 //! The common input is the [`Frame`](reveille_common::message::Frame). Frames come from the observer of a run in
 //! memory, from the tap of a run on the bus, or from a [recording]. Consumers do not depend on the source. Start with

@@ -1,4 +1,7 @@
-//! Prometheus metrics of a running run, for `--metrics`. Their names are stable; docs/monitoring.md lists them.
+//! Prometheus metrics of a running run, for `--metrics`. Their names and labels are stable; docs/monitoring.md lists
+//! them. `deploy/src/run_watchers.rs` feeds them: frames through [`PrometheusMetrics::count_frame`], notifications
+//! through [`MetricsObserver`]. Either source alone leaves some metrics at 0. `deploy/src/metrics_server.rs` serves
+//! them.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -61,8 +64,7 @@ struct BucketLabels {
 
 type FloatGauge = Gauge<f64, AtomicU64>;
 
-/// Statistics of the processes of a run, as known to this process. All but `hosts` are totals since its start, which
-/// never fall.
+/// Statistics of the processes of a run, as known to this process. All but `hosts` count from its start and never fall.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessStats {
     /// Hosts that run devices and are not lost.
@@ -74,14 +76,14 @@ pub struct ProcessStats {
     /// Time that the run has spent waiting until its recording caught up, seconds.
     pub recorder_waited_s: f64,
     /// Frames dropped for observers on the bus that were too slow.
-    pub dropped: u64,
+    pub dropped_frames: u64,
 }
 
 /// Metrics of a run.
 pub struct PrometheusMetrics {
     registry: Registry,
     handles: Handles,
-    /// Whether the states of the devices are to be counted after the next grant.
+    /// Whether the devices must be counted by state and battery after the next grant.
     is_count_requested: AtomicBool,
     /// Largest E_max in the run.
     e_max: Energy,
@@ -89,7 +91,7 @@ pub struct PrometheusMetrics {
     last_process_stats: Mutex<ProcessStats>,
 }
 
-/// Registered metrics.
+/// Handles of the metrics in the registry. [`Self::register`] sets the exported names.
 struct Handles {
     next_tti: Gauge,
     ttis: Counter,
@@ -102,17 +104,20 @@ struct Handles {
     bytes: Family<KindLabels, Counter>,
     /// Message and byte counters of each kind, in the order of [`MessageKind::ALL`], for lookup by index.
     by_kind: Vec<(Counter, Counter)>,
-    spent: Family<StateLabels, Counter<f64, AtomicU64>>,
-    harvested: Counter<f64, AtomicU64>,
-    states: Family<StateLabels, Gauge>,
-    batteries: Family<BucketLabels, Gauge>,
+    /// By purpose of spending.
+    spent_energy: Family<StateLabels, Counter<f64, AtomicU64>>,
+    harvested_energy: Counter<f64, AtomicU64>,
+    devices_by_state: Family<StateLabels, Gauge>,
+    /// Cumulative: devices with at most the battery level of the label.
+    devices_by_battery: Family<BucketLabels, Gauge>,
     mean_battery: FloatGauge,
     hosts: Gauge,
     late_ttis: Counter,
     max_late: FloatGauge,
     recorder_waited: Counter<f64, AtomicU64>,
     dropped_messages: Counter,
-    delays: Histogram,
+    /// Delays of detected events, TTIs.
+    event_delays: Histogram,
 }
 
 impl Handles {
@@ -128,7 +133,7 @@ impl Handles {
             by_kind: by_kind.collect(),
             messages: Family::clone(&messages),
             bytes: Family::clone(&bytes),
-            delays: Histogram::new(DELAY_BUCKETS),
+            event_delays: Histogram::new(DELAY_BUCKETS),
             next_tti: Gauge::default(),
             ttis: Counter::default(),
             grants: Counter::default(),
@@ -136,10 +141,10 @@ impl Handles {
             missed_events: Counter::default(),
             information: Counter::default(),
             wrong_activations: Counter::default(),
-            spent: Family::default(),
-            harvested: Counter::default(),
-            states: Family::default(),
-            batteries: Family::default(),
+            spent_energy: Family::default(),
+            harvested_energy: Counter::default(),
+            devices_by_state: Family::default(),
+            devices_by_battery: Family::default(),
             mean_battery: Gauge::default(),
             hosts: Gauge::default(),
             late_ttis: Counter::default(),
@@ -150,74 +155,69 @@ impl Handles {
     }
 
     fn register(&self, registry: &mut Registry) {
-        let handles = self;
-        registry.register("next_tti", "The next TTI to be granted", handles.next_tti.clone());
-        registry.register("ttis", "TTIs that were run", handles.ttis.clone());
-        registry.register("grants", "Grants of the virtual clock", handles.grants.clone());
-        registry.register("events", "Counted events that have ended", handles.events.clone());
+        registry.register("next_tti", "The next TTI to be granted", self.next_tti.clone());
+        registry.register("ttis", "TTIs that were run", self.ttis.clone());
+        registry.register("grants", "Grants of the virtual clock", self.grants.clone());
+        registry.register("events", "Counted events that have ended", self.events.clone());
         registry.register(
             "events_missed",
             "Counted events that ended without a report",
-            handles.missed_events.clone(),
+            self.missed_events.clone(),
         );
         registry.register(
             "information",
             "Information of counted events at the base station",
-            handles.information.clone(),
+            self.information.clone(),
         );
         registry.register(
             "wrong_activations",
             "Wrong activations for counted events",
-            handles.wrong_activations.clone(),
+            self.wrong_activations.clone(),
         );
-        registry.register("messages", "Messages by plane and kind", handles.messages.clone());
+        registry.register("messages", "Messages by plane and kind", self.messages.clone());
         registry.register(
             "message_bytes",
             "Bytes of messages, as encoded, by plane and kind",
-            handles.bytes.clone(),
+            self.bytes.clone(),
         );
         registry.register(
             "energy_spent_units",
             "Energy spent by devices, by purpose, up to the last window",
-            handles.spent.clone(),
+            self.spent_energy.clone(),
         );
         registry.register(
             "energy_harvested_units",
             "Energy harvested by devices, up to the last window",
-            handles.harvested.clone(),
+            self.harvested_energy.clone(),
         );
-        registry.register("devices", "Devices by state", handles.states.clone());
+        registry.register("devices", "Devices by state", self.devices_by_state.clone());
         registry.register(
             "devices_with_battery",
             "Devices with at most this many units",
-            handles.batteries.clone(),
+            self.devices_by_battery.clone(),
         );
-        registry.register("battery_mean_units", "Mean battery level", handles.mean_battery.clone());
-        registry.register("hosts_alive", "Hosts that are not lost", handles.hosts.clone());
+        registry.register("battery_mean_units", "Mean battery level", self.mean_battery.clone());
+        registry.register("hosts_alive", "Hosts that are not lost", self.hosts.clone());
         registry.register(
             "late_ttis",
             "TTIs that began late under a real-time pace",
-            handles.late_ttis.clone(),
+            self.late_ttis.clone(),
         );
-        registry.register(
-            "late_max_seconds",
-            "The largest delay of a TTI",
-            handles.max_late.clone(),
-        );
+        registry.register("late_max_seconds", "The largest delay of a TTI", self.max_late.clone());
         registry.register(
             "recorder_waited_seconds",
             "Time that its recording has delayed the run",
-            handles.recorder_waited.clone(),
+            self.recorder_waited.clone(),
         );
         registry.register(
             "observer_messages_left_out",
             "Messages that were dropped because an observer on the bus was too slow",
-            handles.dropped_messages.clone(),
+            self.dropped_messages.clone(),
         );
         registry.register(
             "event_delay_ttis",
             "TTIs from the start of a counted event to its first report",
-            handles.delays.clone(),
+            self.event_delays.clone(),
         );
     }
 }
@@ -257,7 +257,7 @@ impl PrometheusMetrics {
     /// Creates every series, so that Prometheus reads 0 before the first occurrence.
     fn create_series(&self) {
         for state in ["sensing", "sleep", "report"] {
-            drop(self.handles.spent.get_or_create(&StateLabels { state }));
+            drop(self.handles.spent_energy.get_or_create(&StateLabels { state }));
         }
         // `update_devices` clears the request, but the first states are wanted before any request.
         self.update_devices(&[]);
@@ -285,7 +285,7 @@ impl PrometheusMetrics {
             self.handles.information.inc_by(record.tally.information());
             self.handles.wrong_activations.inc_by(record.tally.wrong_activations);
             match record.delay() {
-                Some(delay) => self.handles.delays.observe(delay as f64),
+                Some(delay) => self.handles.event_delays.observe(delay as f64),
                 None => drop(self.handles.missed_events.inc()),
             }
         }
@@ -314,7 +314,7 @@ impl PrometheusMetrics {
             .inc_by(process.late_ttis.saturating_sub(before.late_ttis));
         handles
             .dropped_messages
-            .inc_by(process.dropped.saturating_sub(before.dropped));
+            .inc_by(process.dropped_frames.saturating_sub(before.dropped_frames));
         handles
             .recorder_waited
             .inc_by((process.recorder_waited_s - before.recorder_waited_s).max(0.0));
@@ -343,7 +343,7 @@ impl PrometheusMetrics {
         for (name, state) in states {
             let count = views.iter().filter(|view| view.state == state).count() as u64;
             self.handles
-                .states
+                .devices_by_state
                 .get_or_create(&labels(name))
                 .set(count.cast_signed());
         }
@@ -352,7 +352,7 @@ impl PrometheusMetrics {
             let count = views.iter().filter(|view| view.battery <= upper_bound).count() as u64;
             let at_most = upper_bound.units().to_string();
             self.handles
-                .batteries
+                .devices_by_battery
                 .get_or_create(&BucketLabels { at_most })
                 .set(count.cast_signed());
         }
@@ -365,11 +365,11 @@ impl PrometheusMetrics {
         let EnergyByState { sensing, sleep, report } = window.energy.spent;
         for (state, energy) in [("sensing", sensing), ("sleep", sleep), ("report", report)] {
             self.handles
-                .spent
+                .spent_energy
                 .get_or_create(&StateLabels { state })
                 .inc_by(energy.units());
         }
-        self.handles.harvested.inc_by(window.energy.harvested.units());
+        self.handles.harvested_energy.inc_by(window.energy.harvested.units());
     }
 }
 
@@ -425,12 +425,12 @@ mod tests {
     use super::*;
 
     fn test_scenario() -> Scenario {
-        let set = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
-        let set = set.map(|set| Override::parse(set).expect("an override"));
-        load("paper", &set).expect("a scenario").scenario
+        let fields = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
+        let overrides = fields.map(|field| Override::parse(field).expect("an override"));
+        load("paper", &overrides).expect("a scenario").scenario
     }
 
-    /// Returns a table of the name, type and help of every metric.
+    /// Returns a table of the name, type and help of every metric, as in docs/monitoring.md.
     fn metrics_table(text: &str) -> String {
         let row = |line: &str| {
             let (name, help) = line.strip_prefix("# HELP ")?.split_once(' ')?;
@@ -472,7 +472,7 @@ mod tests {
         let outcome = Run::new(&prepare(&scenario), options).finish(&mut observers);
         let process = ProcessStats {
             hosts: 3,
-            dropped: 7,
+            dropped_frames: 7,
             ..ProcessStats::default()
         };
         let text = metrics.encode(process, false);

@@ -1,5 +1,6 @@
-//! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check. `inspect verify` and
-//! the dashboard use it. Its score must count as `bs/src/cycle.rs` does, in the same order.
+//! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check. `inspect verify`, the
+//! dashboard (through [`crate::history`]) and tests use it. Its score must count as `bs/src/cycle.rs` does, in the same
+//! order; `recording/tests.rs` compares the digests.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::codec;
@@ -23,7 +24,9 @@ pub struct Reconstruction {
     deployment: Deployment,
     mirror: DeviceMirror,
     score: Score,
-    plan: Option<Plan>,
+    /// The latest plan that was counted.
+    counted_plan: Option<Plan>,
+    /// The event in progress.
     stimulus: Option<Stimulus>,
     /// TTI of `information`.
     information_tti: Tti,
@@ -40,17 +43,17 @@ impl Reconstruction {
             score: Score::new(scenario, &deployment),
             scenario: scenario.clone(),
             deployment,
-            plan: None,
+            counted_plan: None,
             stimulus: None,
             information_tti: Tti::ZERO,
             information: 0.0,
         }
     }
 
-    /// Applies `frame`.
+    /// Applies `frame`. Frames must come in the order of the run from TTI 0 on.
     ///
     /// # Errors
-    /// If the frame contradicts the frames before it.
+    /// If the frame contradicts the frames before it. Later frames can still be applied, but the results may be wrong.
     pub fn apply(&mut self, frame: &Frame) -> Result<(), Discrepancy> {
         let tti = frame.tti;
         let discrepancy = |description: String| Discrepancy { tti, description };
@@ -112,7 +115,7 @@ impl Reconstruction {
         self.score.events()
     }
 
-    /// Number of TTIs applied.
+    /// Number of TTIs applied: the TTIs up to the last one of the latest grant.
     pub fn ttis_applied(&self) -> u64 {
         self.mirror.current_tti().map_or(0, |last| last.0 + 1)
     }
@@ -127,15 +130,16 @@ impl Reconstruction {
         }
     }
 
+    /// Counts a message that the mirror has applied.
     fn count_message(&mut self, frame: &Frame, message: Message) -> Result<(), String> {
         match message {
             Message::Plan(update) => {
-                let is_new = self.plan.as_ref() != Some(&update.plan);
+                let is_new = self.counted_plan.as_ref() != Some(&update.plan);
                 self.score.record_plan(&update, is_new, codec::encoded_len(&update));
                 let devices = u64::from(self.scenario.run.devices);
                 self.score
-                    .record_missed_plans(update.from, devices, self.mirror.devices_without_plan());
-                self.plan = Some(update.plan);
+                    .record_missed_plans(update.from, devices, self.mirror.missed_plan_count());
+                self.counted_plan = Some(update.plan);
             }
             Message::Event(EventUpdate::Started(event)) => {
                 if self.stimulus.is_some() {
@@ -146,9 +150,9 @@ impl Reconstruction {
             }
             Message::Event(EventUpdate::Ended(record)) => return self.check_event_record(&record),
             Message::Report(report) => {
-                self.fuse(report.tti, report.information);
+                self.fuse_report(report.tti, report.information);
                 // A woken device's report is counted with its wake-up.
-                if !self.mirror.is_waking() {
+                if !self.mirror.has_open_wake_up() {
                     self.active_event()?;
                     self.score.record_report(&report);
                 }
@@ -172,9 +176,10 @@ impl Reconstruction {
                 let device = frame.number.map(DeviceId).ok_or("an outcome without a device")?;
                 let setup = self.deployment.devices.get(device.index());
                 let position = setup.ok_or("an outcome of a device that does not exist")?.position;
-                let is_far = position.distance(epicentre) > self.scenario.sensing.d_max;
+                // The rule of `World::is_beyond_d_max`.
+                let is_beyond_d_max = position.distance(epicentre) > self.scenario.sensing.d_max;
                 self.score
-                    .record_wake_up_outcome(frame.tti, device, &woken.outcome, is_far);
+                    .record_wake_up_outcome(frame.tti, device, &woken.outcome, is_beyond_d_max);
             }
             Message::World(_)
             | Message::States(_)
@@ -191,6 +196,7 @@ impl Reconstruction {
         Ok(())
     }
 
+    /// Ends the event in progress and compares its totals with `record`.
     fn check_event_record(&mut self, record: &EventRecord) -> Result<(), String> {
         self.active_event()?;
         self.stimulus = None;
@@ -200,12 +206,12 @@ impl Reconstruction {
         } else {
             0.0
         };
-        let own = self.score.record_event_end(record.last, information);
-        if own == *record {
+        let recomputed = self.score.record_event_end(record.last, information);
+        if recomputed == *record {
             Ok(())
         } else {
             Err(format!(
-                "the messages of event {} give {own:?}, and its record says {record:?}",
+                "the messages of event {} give {recomputed:?}, and its record says {record:?}",
                 record.event.0
             ))
         }
@@ -216,7 +222,7 @@ impl Reconstruction {
     }
 
     /// Adds the information of a report of TTI `tti`.
-    fn fuse(&mut self, tti: Tti, information: f64) {
+    fn fuse_report(&mut self, tti: Tti, information: f64) {
         if tti != self.information_tti {
             (self.information_tti, self.information) = (tti, 0.0);
         }

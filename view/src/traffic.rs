@@ -33,6 +33,7 @@ impl MessageCount {
 /// Traffic of a run or part of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrafficStats {
+    /// Counts by kind.
     kinds: BTreeMap<MessageKind, MessageCount>,
     /// Counts by device, for kinds with a device in their keys.
     devices: BTreeMap<DeviceId, BTreeMap<MessageKind, MessageCount>>,
@@ -46,8 +47,8 @@ impl TrafficStats {
         let bytes = frame.payload.len();
         self.kinds.entry(frame.kind).or_default().add(bytes);
         if let (Addressee::Device, Some(number)) = (frame.kind.addressee(), frame.number) {
-            let device = self.devices.entry(DeviceId(number)).or_default();
-            device.entry(frame.kind).or_default().add(bytes);
+            let device_kinds = self.devices.entry(DeviceId(number)).or_default();
+            device_kinds.entry(frame.kind).or_default().add(bytes);
         }
         // A grant can cover TTIs without messages, so its last TTI counts.
         let last = match (frame.kind == MessageKind::World).then(|| frame.message()) {
@@ -65,8 +66,8 @@ impl TrafficStats {
             .map_or(0, |(first, last)| last - first + 1)
     }
 
-    /// The first and the last TTI.
-    pub fn span(&self) -> Option<(Tti, Tti)> {
+    /// The first and the last TTI; `None` without messages.
+    pub fn tti_range(&self) -> Option<(Tti, Tti)> {
         self.first_tti.zip(self.last_tti)
     }
 
@@ -89,7 +90,8 @@ impl TrafficStats {
         )
     }
 
-    /// Count of the base station's messages on the air: plans and wake-ups.
+    /// Count of the base station's messages on the air: plans and wake-ups. A new kind from the base station on the air
+    /// plane belongs here.
     pub fn control(&self) -> MessageCount {
         MessageCount::sum(
             [MessageKind::Plan, MessageKind::Wake]
@@ -98,7 +100,7 @@ impl TrafficStats {
         )
     }
 
-    /// Count of the devices' messages on the air: reports.
+    /// Count of the devices' messages that arrive over the air: reports, without lost ones.
     pub fn uplink(&self) -> MessageCount {
         self.kind(MessageKind::Report)
     }

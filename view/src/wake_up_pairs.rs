@@ -1,5 +1,5 @@
 //! Pairs of a wake-up and its outcome, shown as one line by `inspect tail --pair-wake-ups`. The line has the columns of
-//! [`FrameLine`](crate::frame_line::FrameLine); change both.
+//! [`FrameLine`](crate::frame_line::FrameLine), and the plane and the kind of a wake-up; change both.
 
 use std::fmt;
 
@@ -36,9 +36,9 @@ impl fmt::Display for WakeUpExchange {
 /// Role of a frame in the pairing of wake-ups with outcomes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PairStep {
-    /// Not part of a wake-up.
+    /// Not part of a wake-up, or an outcome that cannot be decoded: `inspect tail` shows the frame as a line.
     Unpaired,
-    /// Part of a wake-up that is still incomplete.
+    /// Part of a wake-up that is still incomplete. `inspect tail` does not show the frame.
     Pending,
     /// Last part of a wake-up, which is complete with it.
     Paired(WakeUpExchange),

@@ -468,7 +468,7 @@ async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::R
             hosts: load(&progress.active_host_count),
             late_ttis: load(&progress.late_ttis),
             max_late_s: load(&progress.max_late_ns) as f64 / 1e9,
-            dropped: bus_copy.dropped_frames(),
+            dropped_frames: bus_copy.dropped_frames(),
             // Filled in by `RunWatchers::start`, which knows the recorder.
             recorder_waited_s: 0.0,
         }

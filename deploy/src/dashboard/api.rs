@@ -301,7 +301,9 @@ impl MessageQuery {
             let why = format!("a state filter covers at most {MAX_HISTORY_TTIS} TTIs; limit it with from and to");
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
-        filter.check().map_err(|why| ApiError(StatusCode::BAD_REQUEST, why))?;
+        filter
+            .check_kinds()
+            .map_err(|why| ApiError(StatusCode::BAD_REQUEST, why))?;
         Ok(filter)
     }
 }

@@ -92,14 +92,14 @@ impl Curves {
 
 /// Computes a point of every curve from the frames so far; `None` before TTI 0.
 fn curve_point(history: &mut RunHistory, traffic: &TrafficStats) -> Option<CurvePoint> {
-    let tti = history.now().mirror().current_tti()?;
+    let tti = history.reconstruction().mirror().current_tti()?;
     let mut batteries: Vec<Energy> = history.views().iter().map(|view| view.battery).collect();
     batteries.sort_unstable();
     let quantile = |share: f64| {
         let index = (share * batteries.len().saturating_sub(1) as f64).round() as usize;
         batteries.get(index).map(|level| level.units())
     };
-    let metrics = history.now().metrics();
+    let metrics = history.reconstruction().metrics();
     let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
     let ttis = traffic.ttis().max(1) as f64;
     Some(CurvePoint {

@@ -205,7 +205,7 @@ impl Feed {
             lower_priority();
             let mut is_over = false;
             loop {
-                match batches.next(POLL_INTERVAL) {
+                match batches.next_batch(POLL_INTERVAL) {
                     Ok(batch) => {
                         let mut state = feed.lock();
                         for item in batch {
@@ -267,7 +267,7 @@ impl Feed {
         let (first, next) = state.history.available_ttis();
         let snapshot = state.history.latest();
         let mut now = self.snapshot_json(Tti(next.0.saturating_sub(1)), &snapshot);
-        let events = state.history.now().events();
+        let events = state.history.reconstruction().events();
         now["first"] = json!(first);
         now["next"] = json!(next);
         now["over"] = json!(self.is_over.load(Ordering::Relaxed));
@@ -297,18 +297,18 @@ impl Feed {
             "tti": tti,
             "states": state_codes(&snapshot.views),
             "batteries": self.batteries(&snapshot.views),
-            "on": snapshot.on.iter().map(|on| if *on { '1' } else { '0' }).collect::<String>(),
+            "on": snapshot.planned_on.iter().map(|on| if *on { '1' } else { '0' }).collect::<String>(),
             "event": snapshot.event,
-            "ended": snapshot.ended.map(|record| json!({
+            "ended": snapshot.ended_event.map(|record| json!({
                 "event": record.event,
                 "delay": record.delay(),
                 "information": record.tally.information(),
                 "reports": record.tally.reports,
                 "wake_ups": record.tally.wake_ups,
             })),
-            "reported": snapshot.reported,
-            "lost": snapshot.lost,
-            "failed": snapshot.failed,
+            "reported": snapshot.reporters,
+            "lost": snapshot.lost_report_senders,
+            "failed": snapshot.failed_reporters,
             "woken": woken,
             "belief": snapshot.belief.as_ref().map(|belief| &belief.places),
         })
@@ -380,7 +380,7 @@ impl Feed {
     /// Sums since TTI 0 of each device: TTIs in S1, and events and misdetections nearest to it.
     pub(crate) fn heat_json(&self) -> Value {
         let state = self.lock();
-        let mirror = state.history.now().mirror().clone();
+        let mirror = state.history.reconstruction().mirror().clone();
         let (near_counts, near_miss_counts) = state.events.counts();
         let (events, misses) = (json!(near_counts), json!(near_miss_counts));
         // The ledgers of many devices take long, and the run's frames wait for this lock.

@@ -1,6 +1,6 @@
 //! Checks the source tree against the rules of ARCHITECTURE.md: dependencies of crates, folders and files, forbidden
 //! names in pure code, the length of files and lines, and versions. It reads source text only; clippy and rustfmt check
-//! the rest.
+//! the rest. The tables below repeat ARCHITECTURE.md, which no test compares with them: change both.
 
 mod tree;
 
@@ -9,10 +9,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-pub(super) use tree::root;
-use tree::{CRATES, Crate, Mention, Module, SourceFile, sources};
+use tree::{CRATES, Crate, Mention, Module, SourceFile, root, sources};
 
-/// Crates of the workspace that each crate may use in its code. ARCHITECTURE.md shows this order.
+/// Crates of the workspace that each crate may use in its code, for each of [`CRATES`]. ARCHITECTURE.md shows this
+/// order.
 const MAY_USE: [(&str, &[&str]); 9] = [
     ("common", &[]),
     ("device", &["common"]),
@@ -87,7 +87,7 @@ const SHELL_PATHS: [&str; 18] = [
     "zenoh",
 ];
 
-/// Methods of `Path` that access the disk. None of them takes an argument.
+/// Methods of `Path` that access the disk. None of them takes an argument: [`Module::calls`] lists only such calls.
 const PATH_METHODS: [&str; 10] = [
     "canonicalize",
     "exists",
@@ -101,7 +101,8 @@ const PATH_METHODS: [&str; 10] = [
     "try_exists",
 ];
 
-/// Files with methods of these names that do not belong to `Path`: the metadata of bytes that are already in memory.
+/// Files with methods of these names that do not belong to `Path`: the metadata of bytes that are already in memory. An
+/// entry for a file that no longer exists is not reported.
 const IN_MEMORY_METHODS: [(&str, &str); 6] = [
     ("common/src/columns/parquet.rs", "metadata"),
     ("common/src/parquet.rs", "metadata"),
@@ -126,6 +127,7 @@ const MUTABLE_TYPES: [&str; 10] = [
     "mut",
 ];
 
+/// Maximum length of a file without comments and unit tests. [`SourceFile::code`] counts.
 const MAX_LINES_OF_CODE: usize = 500;
 /// Maximum length of a line, as in `rustfmt.toml`.
 const MAX_COLUMNS: usize = 120;
@@ -170,8 +172,8 @@ fn module_path(file: &str) -> Vec<&str> {
 #[test]
 fn files_use_each_other_without_cycles() {
     let mut violations = Violations::new();
-    for (_, tree) in crates() {
-        let graph: Graph = tree
+    for (_, member_crate) in crates() {
+        let graph: Graph = member_crate
             .uses()
             .into_iter()
             .map(|(file, uses)| (file, uses.into_keys().collect()))
@@ -183,15 +185,15 @@ fn files_use_each_other_without_cycles() {
 
 /// Returns the dependencies within each folder: between the files and folders directly in it and its own file
 /// (`mod.rs`).
-fn dependencies_by_folder(tree: &Crate) -> BTreeMap<Vec<String>, Graph> {
+fn dependencies_by_folder(member_crate: &Crate) -> BTreeMap<Vec<String>, Graph> {
     let mut folders: BTreeMap<Vec<String>, Graph> = BTreeMap::new();
-    for (file, uses) in tree.uses() {
+    for (file, uses) in member_crate.uses() {
         let user_path = module_path(&file);
         for used in uses.keys() {
             let used_path = module_path(used);
             let shared = user_path.iter().zip(&used_path).take_while(|(a, b)| a == b).count();
             let entry_of_folder = |file: &str, path: &[&str]| match path.get(shared) {
-                Some(_) => format!("{}/src/{}", tree.member, path[..=shared].join("/")),
+                Some(_) => format!("{}/src/{}", member_crate.member, path[..=shared].join("/")),
                 None => file.to_owned(),
             };
             let folder = user_path[..shared].iter().map(|&name| name.to_owned()).collect();
@@ -210,7 +212,7 @@ fn dependencies_by_folder(tree: &Crate) -> BTreeMap<Vec<String>, Graph> {
 fn folders_use_each_other_without_cycles() {
     let graphs = crates()
         .iter()
-        .flat_map(|(_, tree)| dependencies_by_folder(tree).into_values());
+        .flat_map(|(_, member_crate)| dependencies_by_folder(member_crate).into_values());
     let violations = graphs.flat_map(|graph| cycles(&graph)).collect();
     assert_none("folders do not use each other in a cycle", &violations);
 }
@@ -220,7 +222,7 @@ fn folders_use_each_other_without_cycles() {
 #[test]
 fn crates_use_only_lower_crates() {
     let mut violations = Violations::new();
-    for (member, tree) in crates() {
+    for (member, member_crate) in crates() {
         let (_, lower) = MAY_USE.iter().find(|(name, _)| name == member).expect("a crate");
         let is_allowed = |name: &str| {
             let used = name
@@ -228,7 +230,7 @@ fn crates_use_only_lower_crates() {
                 .or_else(|| name.strip_prefix("reveille-"));
             used.is_none_or(|used| used == *member || lower.contains(&used) || !CRATES.contains(&used))
         };
-        for module in tree.modules.values() {
+        for module in member_crate.modules.values() {
             for mention in module.mentions.iter().filter(|mention| !is_allowed(&mention.words[0])) {
                 violations.insert((module.file.clone(), mention.words.join("::")));
             }
@@ -254,11 +256,15 @@ fn modules_of_common_use_no_higher_layers() {
             .unwrap_or_else(|| panic!("common/src/{module} is missing in LAYERS_OF_COMMON"))
     };
     let mut violations = Violations::new();
-    let (_, tree) = crates()
+    let (_, member_crate) = crates()
         .iter()
         .find(|(member, _)| *member == "common")
         .expect("a crate");
-    for (file, uses) in tree.uses().into_iter().filter(|(file, _)| top_module(file) != "lib") {
+    for (file, uses) in member_crate
+        .uses()
+        .into_iter()
+        .filter(|(file, _)| top_module(file) != "lib")
+    {
         let own_layer = layer_index(top_module(&file));
         for (used, path) in uses {
             let used_module = top_module(&used);
@@ -282,13 +288,19 @@ fn is_shell(file: &str) -> bool {
     SHELLS.iter().any(|shell| file.starts_with(shell))
 }
 
-/// Returns the modules of pure code, each with its crate and path.
+/// Returns the modules of pure code, each with its crate and path. `tests` has no pure code, although [`SHELLS`]
+/// omits it.
 fn pure_modules() -> impl Iterator<Item = (&'static Crate, &'static [String], &'static Module)> {
     let members = crates()
         .iter()
         .filter(|(member, _)| !["deploy", "tests"].contains(member));
-    let modules = members.flat_map(|(_, tree)| tree.modules.iter().map(move |(path, module)| (tree, path, module)));
-    let modules = modules.map(|(tree, path, module)| (tree, path.as_slice(), module));
+    let modules = members.flat_map(|(_, member_crate)| {
+        member_crate
+            .modules
+            .iter()
+            .map(move |(path, module)| (member_crate, path, module))
+    });
+    let modules = modules.map(|(member_crate, path, module)| (member_crate, path.as_slice(), module));
     modules.filter(|(_, _, module)| !is_shell(&module.file))
 }
 
@@ -297,9 +309,9 @@ fn pure_modules() -> impl Iterator<Item = (&'static Crate, &'static [String], &'
 #[test]
 fn pure_code_performs_no_io() {
     let mut violations = Violations::new();
-    for (tree, path, module) in pure_modules() {
+    for (member_crate, path, module) in pure_modules() {
         for mention in &module.mentions {
-            let words = tree.expand_imports(path, &mention.words);
+            let words = member_crate.expand_imports(path, &mention.words);
             let full_path = words.join("::");
             let is_below = |shell_path: &str| {
                 full_path
@@ -339,10 +351,10 @@ fn pure_code_performs_no_io() {
 #[test]
 fn pure_code_uses_no_shell() {
     let mut violations = Violations::new();
-    for (tree, path, module) in pure_modules() {
-        let is_use = |mention: &&Mention| !tree.is_re_export(path, mention);
+    for (member_crate, path, module) in pure_modules() {
+        let is_use = |mention: &&Mention| !member_crate.is_re_export(path, mention);
         for mention in module.mentions.iter().filter(is_use) {
-            if let Some(file) = declaring_file(tree, path, mention).filter(|file| is_shell(file)) {
+            if let Some(file) = declaring_file(member_crate, path, mention).filter(|file| is_shell(file)) {
                 let name = mention.words.join("::");
                 violations.insert((
                     module.file.clone(),
@@ -355,14 +367,14 @@ fn pure_code_uses_no_shell() {
 }
 
 /// Returns the file of this workspace that declares the target of `mention` in the module at `path`.
-fn declaring_file(tree: &Crate, path: &[String], mention: &Mention) -> Option<String> {
-    let words = tree.expand_imports(path, &mention.words);
+fn declaring_file(member_crate: &Crate, path: &[String], mention: &Mention) -> Option<String> {
+    let words = member_crate.expand_imports(path, &mention.words);
     match crates()
         .iter()
         .find(|(member, _)| words[0] == format!("reveille_{member}"))
     {
-        Some((_, other)) => other.file_at(&words[1..]),
-        None => tree.file_of(path, &mention.words),
+        Some((_, other)) => other.file_from_root(&words[1..]),
+        None => member_crate.file_from_module(path, &mention.words),
     }
 }
 
@@ -385,8 +397,8 @@ fn pure_code_has_no_global_state() {
 #[test]
 fn bincode_and_zenoh_are_used_in_one_module() {
     let mut violations = Violations::new();
-    for (_, tree) in crates() {
-        for module in tree.modules.values() {
+    for (_, member_crate) in crates() {
+        for module in member_crate.modules.values() {
             for mention in &module.mentions {
                 let only_user = match mention.words[0].as_str() {
                     "bincode" => "common/src/codec.rs",
@@ -467,7 +479,8 @@ fn no_path_of_one_machine_is_named() {
     assert_none("no source names a folder of one machine", &violations);
 }
 
-/// Returns the files that a source declares as modules: `name.rs` or `name/mod.rs`, of which clippy allows one.
+/// Returns the files that a source declares as modules: `name.rs` or `name/mod.rs`, of which clippy allows one. Only
+/// lines without indentation and with one of the visibilities below count.
 fn declared_files(source: &SourceFile) -> Vec<String> {
     let (folder, _) = source.name.rsplit_once('/').expect("a folder");
     let files = source.text.lines().flat_map(|line| {
@@ -523,7 +536,8 @@ fn no_page_has_an_unfilled_placeholder() {
     assert_none("pages have no placeholders", &violations);
 }
 
-/// Protects: releases, from a file that still names another version of Reveille or of Rust.
+/// Protects: releases, from a file that still names another version of Reveille or of Rust. A new file with a version
+/// needs a line here.
 #[test]
 fn versions_agree() {
     let (version, rust) = (env!("CARGO_PKG_VERSION"), env!("CARGO_PKG_RUST_VERSION"));
@@ -550,7 +564,7 @@ fn versions_agree() {
 #[test]
 fn the_code_map_names_real_files() {
     let text = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
-    // Names without a folder are relative to the folder of an earlier name.
+    // Names without a folder are relative to the folder of an earlier name. Only lines of tables are read.
     let mut folder = String::new();
     let mut violations = Violations::new();
     for line in text.lines().filter(|line| line.starts_with("| ")) {
@@ -578,10 +592,10 @@ fn the_code_map_names_real_files() {
 }
 
 /// Dependency graph: files or folders, each with its dependencies.
-pub(super) type Graph = BTreeMap<String, BTreeSet<String>>;
+type Graph = BTreeMap<String, BTreeSet<String>>;
 
-/// Returns every name that can be reached from itself, with a shortest cycle: `a → b → a`.
-pub(super) fn cycles(graph: &Graph) -> BTreeMap<String, String> {
+/// Returns every name that can be reached from itself, with a shortest cycle as text: `a → b → a`.
+fn cycles(graph: &Graph) -> BTreeMap<String, String> {
     let name_and_cycle = |name: &String| shortest_cycle(graph, name).map(|cycle| (name.clone(), cycle.join(" → ")));
     graph.keys().filter_map(name_and_cycle).collect()
 }

@@ -1,4 +1,7 @@
-//! The Rust sources of the workspace, and the paths that each module names.
+//! The Rust sources of the workspace, and the paths that each module names, for the rules in `mod.rs`.
+//!
+//! Paths are resolved by name, without types: [`Crate::uses`] misses uses through methods, fields and generated code.
+//! Unit tests (`#[cfg(test)]`) are left out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -8,7 +11,7 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::punctuated::Punctuated;
 use syn::visit::{self, Visit};
 
-/// The crates, each after all crates that it may use.
+/// The crates, each after all crates that it may use. A new crate also needs a line in `MAY_USE`.
 pub(super) const CRATES: [&str; 9] = [
     "common", "device", "bs", "lab", "study", "view", "deploy", "tests", "python",
 ];
@@ -27,7 +30,8 @@ impl SourceFile {
         is_test(&self.name)
     }
 
-    /// Returns the lines of code, without comments and without the unit tests at the end.
+    /// Returns the lines of code, without comments and without the unit tests, which must be called `tests` and come
+    /// last. Empty lines count.
     pub(super) fn code(&self) -> Vec<&str> {
         let text = self.text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
         text.lines()
@@ -36,13 +40,13 @@ impl SourceFile {
     }
 }
 
-/// Whether the file `name` contains only tests.
+/// Whether the file `name` contains only tests, by the place and the name of the file.
 fn is_test(name: &str) -> bool {
     name.ends_with("tests.rs") || name.contains("/tests/") || name.contains("/program/")
 }
 
 /// Returns the root of the workspace.
-pub(crate) fn root() -> PathBuf {
+pub(super) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
@@ -165,12 +169,12 @@ impl Crate {
                 modules: &mut modules,
                 test_modules: &mut test_modules,
             };
-            reader.module();
+            reader.current_module();
             reader.visit_file(&file);
         }
         assert!(modules.contains_key(&Vec::new()), "{member} has a root");
-        let is_test_only = |path: &Vec<String>| test_modules.iter().any(|module| path.starts_with(module));
-        modules.retain(|path, _| !is_test_only(path));
+        let is_in_test_module = |path: &Vec<String>| test_modules.iter().any(|module| path.starts_with(module));
+        modules.retain(|path, _| !is_in_test_module(path));
         let member = member.to_owned();
         let mut read_crate = Self { member, modules };
         read_crate.add_children();
@@ -201,7 +205,7 @@ impl Crate {
                 if self.is_re_export(path, mention) {
                     continue;
                 }
-                if let Some(file) = self.file_of(path, &mention.words)
+                if let Some(file) = self.file_from_module(path, &mention.words)
                     && file != module.file
                 {
                     used_files.entry(file).or_insert_with(|| mention.words.join("::"));
@@ -227,7 +231,7 @@ impl Crate {
     }
 
     /// Returns the file that declares the target of `words` at the root of the crate.
-    pub(super) fn file_at(&self, words: &[String]) -> Option<String> {
+    pub(super) fn file_from_root(&self, words: &[String]) -> Option<String> {
         match self.walk(Vec::new(), words, 0)? {
             Target::Module(path) => Some(self.modules[&path].file.clone()),
             Target::Item(file) => Some(file),
@@ -236,7 +240,7 @@ impl Crate {
 
     /// Returns the file that declares the target of `words` in the module at `path`; `None` for names outside this
     /// crate.
-    pub(super) fn file_of(&self, path: &[String], words: &[String]) -> Option<String> {
+    pub(super) fn file_from_module(&self, path: &[String], words: &[String]) -> Option<String> {
         if words.len() == 1 && !self.modules[path].imports.contains_key(&words[0]) {
             return None; // A variable, or an item of the module itself.
         }
@@ -269,14 +273,14 @@ impl Crate {
         }
     }
 
-    /// Finds the target of `words`, which start in the namespace of the module at `at`.
-    fn walk(&self, at: Vec<String>, words: &[String], depth: u32) -> Option<Target> {
-        let module = self.modules.get(&at)?;
+    /// Finds the target of `words`, which start in the namespace of the module at `module_path`.
+    fn walk(&self, module_path: Vec<String>, words: &[String], depth: u32) -> Option<Target> {
+        let module = self.modules.get(&module_path)?;
         let Some((first, rest)) = words.split_first() else {
-            return Some(Target::Module(at));
+            return Some(Target::Module(module_path));
         };
         if module.children.contains(first) {
-            let mut below = at;
+            let mut below = module_path;
             below.push(first.clone());
             return self.walk(below, rest, depth);
         }
@@ -285,34 +289,39 @@ impl Crate {
             return Some(Target::Item(module.file.clone()));
         }
         if let Some(import) = module.imports.get(first) {
-            return match self.resolve(&at, import, depth + 1)? {
+            return match self.resolve(&module_path, import, depth + 1)? {
                 Target::Module(path) => self.walk(path, rest, depth + 1),
                 item @ Target::Item(_) => Some(item),
             };
         }
         for glob in &module.globs {
-            if let Some(Target::Module(path)) = self.resolve(&at, glob, depth + 1)
+            if let Some(Target::Module(path)) = self.resolve(&module_path, glob, depth + 1)
                 && self.modules[&path].items.contains(first)
             {
                 return Some(Target::Item(self.modules[&path].file.clone()));
             }
         }
-        let is_macro = |other: &&Module| at.is_empty() && other.macros.contains(first);
+        let is_macro = |other: &&Module| module_path.is_empty() && other.macros.contains(first);
         let declares = self.modules.values().find(is_macro).unwrap_or(module);
         Some(Target::Item(declares.file.clone()))
     }
 }
 
+/// Visitor that records the contents of one file in its modules.
 struct SourceReader<'a> {
+    /// Name of the file.
     file: &'a str,
+    /// Path of the current module: of the file, or of an inline module in it.
     path: Vec<String>,
+    /// All modules of the crate so far.
     modules: &'a mut BTreeMap<Vec<String>, Module>,
     /// Modules in separate files that are only for tests.
     test_modules: &'a mut Vec<Vec<String>>,
 }
 
 impl SourceReader<'_> {
-    fn module(&mut self) -> &mut Module {
+    /// Returns the current module, which the first call for a path creates.
+    fn current_module(&mut self) -> &mut Module {
         let module = self.modules.entry(self.path.clone()).or_default();
         if module.file.is_empty() {
             self.file.clone_into(&mut module.file);
@@ -320,25 +329,26 @@ impl SourceReader<'_> {
         module
     }
 
-    fn mention(&mut self, words: Vec<String>, role: MentionRole) {
-        self.module().mentions.insert(Mention { words, role });
+    fn add_mention(&mut self, words: Vec<String>, role: MentionRole) {
+        self.current_module().mentions.insert(Mention { words, role });
     }
 
-    fn import(&mut self, use_tree: &syn::UseTree, mut words: Vec<String>, role: MentionRole) {
+    /// Records the imports of a `use`. `words` is the path up to `use_tree`.
+    fn add_imports(&mut self, use_tree: &syn::UseTree, mut words: Vec<String>, role: MentionRole) {
         let (word, name) = match use_tree {
             syn::UseTree::Path(path) => {
                 words.push(path.ident.to_string());
-                return self.import(&path.tree, words, role);
+                return self.add_imports(&path.tree, words, role);
             }
             syn::UseTree::Group(group) => {
                 for item in &group.items {
-                    self.import(item, words.clone(), role);
+                    self.add_imports(item, words.clone(), role);
                 }
                 return;
             }
             syn::UseTree::Glob(_) => {
-                self.module().globs.push(words.clone());
-                return self.mention(words, role);
+                self.current_module().globs.push(words.clone());
+                return self.add_mention(words, role);
             }
             syn::UseTree::Name(name) => (name.ident.to_string(), name.ident.to_string()),
             syn::UseTree::Rename(rename) => (rename.ident.to_string(), rename.rename.to_string()),
@@ -349,12 +359,12 @@ impl SourceReader<'_> {
             words.push(word);
             name
         };
-        self.module().imports.insert(name, words.clone());
-        self.mention(words, role);
+        self.current_module().imports.insert(name, words.clone());
+        self.add_mention(words, role);
     }
 
     /// Collects paths in the arguments of a macro, which syn does not parse.
-    fn tokens(&mut self, tokens: TokenStream) {
+    fn read_tokens(&mut self, tokens: TokenStream) {
         let mut words: Vec<String> = Vec::new();
         let mut colons = 0;
         for token in tokens {
@@ -370,7 +380,7 @@ impl SourceReader<'_> {
                 TokenTree::Punct(mark) if mark.as_char() == ':' => colons += 1,
                 TokenTree::Group(group) => {
                     self.finish_path(&mut words);
-                    self.tokens(group.stream());
+                    self.read_tokens(group.stream());
                 }
                 TokenTree::Punct(_) | TokenTree::Literal(_) => self.finish_path(&mut words),
             }
@@ -378,21 +388,24 @@ impl SourceReader<'_> {
         self.finish_path(&mut words);
     }
 
+    /// Records the words of a path and empties `words`. A single word is no path.
     fn finish_path(&mut self, words: &mut Vec<String>) {
         let words = std::mem::take(words);
         if words.len() > 1 {
-            self.mention(words, MentionRole::Code);
+            self.add_mention(words, MentionRole::Code);
         }
     }
 }
 
-fn is_test_only(attributes: &[syn::Attribute]) -> bool {
+/// Whether `attributes` contain `#[cfg(test)]`.
+fn has_cfg_test(attributes: &[syn::Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         let list = attribute.meta.require_list();
         attribute.path().is_ident("cfg") && list.is_ok_and(|list| list.tokens.to_string() == "test")
     })
 }
 
+/// Returns the attributes of an item. `#[cfg(test)]` on a kind of item that is not listed has no effect.
 #[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
 fn attributes(item: &syn::Item) -> &[syn::Attribute] {
     match item {
@@ -411,7 +424,7 @@ fn attributes(item: &syn::Item) -> &[syn::Attribute] {
     }
 }
 
-/// Returns the name that an item declares, if any.
+/// Returns the name that an item declares; `None` for modules, macros and items without a name.
 #[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
 fn declared_name(item: &syn::Item) -> Option<String> {
     match item {
@@ -428,7 +441,7 @@ fn declared_name(item: &syn::Item) -> Option<String> {
 
 impl<'ast> Visit<'ast> for SourceReader<'_> {
     fn visit_item(&mut self, item: &'ast syn::Item) {
-        if is_test_only(attributes(item)) {
+        if has_cfg_test(attributes(item)) {
             if let syn::Item::Mod(module) = item {
                 let mut path = self.path.clone();
                 path.push(module.ident.to_string());
@@ -437,10 +450,10 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
             return;
         }
         if let syn::Item::Macro(syn::ItemMacro { ident: Some(name), .. }) = item {
-            self.module().macros.insert(name.to_string());
+            self.current_module().macros.insert(name.to_string());
         }
         if let Some(name) = declared_name(item) {
-            self.module().items.insert(name);
+            self.current_module().items.insert(name);
         }
         visit::visit_item(self, item);
     }
@@ -448,7 +461,7 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
     fn visit_item_mod(&mut self, item: &'ast syn::ItemMod) {
         if let Some((_, items)) = &item.content {
             self.path.push(item.ident.to_string());
-            self.module();
+            self.current_module();
             for item in items {
                 self.visit_item(item);
             }
@@ -462,7 +475,7 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
         } else {
             MentionRole::ReExport
         };
-        self.import(&item.tree, Vec::new(), role);
+        self.add_imports(&item.tree, Vec::new(), role);
     }
 
     fn visit_item_static(&mut self, item: &'ast syn::ItemStatic) {
@@ -471,19 +484,19 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
         if matches!(item.mutability, syn::StaticMutability::Mut(_)) {
             written.0.push("mut".to_owned());
         }
-        self.module().statics.push(written.0.join(" "));
+        self.current_module().statics.push(written.0.join(" "));
         visit::visit_item_static(self, item);
     }
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
         let words = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
-        self.mention(words, MentionRole::Code);
+        self.add_mention(words, MentionRole::Code);
         visit::visit_path(self, path);
     }
 
     fn visit_expr_method_call(&mut self, call: &'ast syn::ExprMethodCall) {
         if call.args.is_empty() {
-            self.module().calls.insert(call.method.to_string());
+            self.current_module().calls.insert(call.method.to_string());
         }
         visit::visit_expr_method_call(self, call);
     }
@@ -495,12 +508,12 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
             .last()
             .is_some_and(|segment| segment.ident == "thread_local")
         {
-            self.module().statics.push("thread_local".to_owned());
+            self.current_module().statics.push("thread_local".to_owned());
         }
-        self.tokens(call.tokens.clone());
+        self.read_tokens(call.tokens.clone());
         if let Ok(arguments) = call.parse_body_with(Punctuated::<syn::Expr, syn::Token![,]>::parse_terminated) {
             for argument in &arguments {
-                MacroCalls(self.module()).visit_expr(argument);
+                MacroCalls(self.current_module()).visit_expr(argument);
             }
         }
         visit::visit_macro(self, call);

@@ -197,7 +197,7 @@ end
 -- The name of a sender or receiver; `number` belongs to the one that `kind` addresses.
 local function party(name, kind, number)
     local single = name:gsub("^one ", "")
-    return number and single == kind.whose and single .. " " .. number or name
+    return number and single == kind.addressee and single .. " " .. number or name
 end
 
 function reveille.dissector(data, packet, root)
@@ -217,13 +217,13 @@ function reveille.dissector(data, packet, root)
     packet.cols.dst = party(kind.to, kind, number)
     local info = "TTI " .. tostring(data(6, 8):le_uint64()) .. " " .. kind.plane .. " " .. kind.name
     if number then
-        info = info .. " " .. kind.whose .. " " .. number
+        info = info .. " " .. kind.addressee .. " " .. number
     end
     local body = tree:add(fields[kind.name], data(14))
-    if number and not kind.told then
-        body:add_le(fields[kind.name .. "." .. kind.whose], data(2, 4))
+    if number and kind.needs_number_field then
+        body:add_le(fields[kind.name .. "." .. kind.addressee], data(2, 4))
     end
-    shown, number_field, lists = {}, number and kind.whose or "", 0
+    shown, number_field, lists = {}, number and kind.addressee or "", 0
     local ok, read_to = pcall(function()
         assert(data(14, 1):uint() == version, "another version")
         return dissect(kind.form, data, 15, body)

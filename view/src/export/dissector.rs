@@ -1,9 +1,10 @@
 //! Wireshark dissector in Lua, generated from the message schemas so that it reads the messages of this version.
 //!
 //! Every kind has a filter, such as `reveille.wake`, and every field has its own: `reveille.`, the kind and the path to
-//! the field, such as `reveille.wake.device`. The variant name of a choice is in `….is`. Labels of fields end with their
-//! units. `dissector.lua` reads the keys of the generated tables. `tests/recordings/check.py` checks the dissector with
-//! tshark.
+//! the field, such as `reveille.wake.device`. The variant name of a choice is in `….is`. Labels of fields end with
+//! their units. `dissector.lua` reads the keys of the generated tables and the names of forms, such as `seq`: change
+//! both. `inspect export --dissector` writes the script. `tests/recordings/check.py` checks it with tshark and repeats
+//! the names of fields; docs/inspecting.md shows filters.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -15,7 +16,7 @@ use serde_reflection::{ContainerFormat, Format, Named, VariantFormat};
 use super::pcapng::kind_number;
 use crate::schemas::MessageSchemas;
 
-/// Part common to all dissectors.
+/// Part common to all dissectors. Comments that begin with `--@` mark the places of the generated parts.
 const LUA_CORE: &str = include_str!("dissector.lua");
 
 /// Generates the script.
@@ -28,19 +29,19 @@ pub fn lua_script() -> String {
     let mut kinds = String::new();
     for kind in MessageKind::ALL {
         let (plane, name, addressee) = (kind.plane().name(), kind.name(), kind.addressee().name());
-        let lua_form = script.format(schemas.type_of(*kind), name);
-        // The number in the message's key gets a field, except for a kind without a number. A report's payload holds the
-        // device too, so the field with this path exists already.
+        let lua_form = script.form(schemas.type_of(*kind), name);
+        // The number in the message's key gets a field, except for a kind without a number. A report's payload holds
+        // the device too, so the field with this path exists already.
         let path = format!("{name}.{addressee}");
-        let needs_no_number_field = kind.addressee() == Addressee::Unaddressed || script.fields.contains_key(&path);
-        if !needs_no_number_field {
+        let needs_number_field = kind.addressee() != Addressee::Unaddressed && !script.fields.contains_key(&path);
+        if needs_number_field {
             script.add_field(&path, "uint32");
         }
         let (from, to) = kind.direction().split_once(" → ").unwrap_or((kind.direction(), ""));
         let _infallible = writeln!(
             kinds,
-            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {addressee:?}, told = {needs_no_number_field}, \
-             from = {from:?}, to = {to:?}, form = {lua_form}}}",
+            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, addressee = {addressee:?}, \
+             needs_number_field = {needs_number_field}, from = {from:?}, to = {to:?}, form = {lua_form}}}",
             kind_number(*kind)
         );
     }
@@ -76,11 +77,11 @@ struct ScriptBuilder<'a> {
     fields: BTreeMap<String, (&'static str, Option<&'static str>)>,
 }
 
-/// The unit of energies in messages.
+/// The unit of energies in messages. `dissector.lua` compares units with this text and with `m`.
 const ENERGY_UNIT: &str = "micro-units";
 
-/// Returns the unit of the number at `path`. Units follow from names: energies and TTIs are plain numbers in messages.
-/// A renamed field needs its new name here, or loses its unit.
+/// Returns the unit of the number at `path`. Units follow from serialised names: energies and TTIs are plain numbers in
+/// messages. A renamed field needs its new name here, or loses its unit.
 fn unit_of(path: &str, lua_type: &str) -> Option<&'static str> {
     let mut names = path.rsplit('.');
     let (name, parent) = (names.next()?, names.next());
@@ -110,18 +111,22 @@ impl ScriptBuilder<'_> {
         self.fields.insert(path.to_owned(), (lua_type, unit_of(path, lua_type)));
     }
 
-    /// Adds a value that has its own field.
-    fn add_leaf(&mut self, path: &str, read: &str, lua_type: &'static str) -> String {
+    /// Adds the field of a single value and returns its form. `reader` is the name of a function in `dissector.lua`.
+    fn add_leaf(&mut self, path: &str, reader: &str, lua_type: &'static str) -> String {
         self.add_field(path, lua_type);
-        format!("{{{read:?}, {path:?}}}")
+        format!("{{{reader:?}, {path:?}}}")
     }
 
     /// Returns the form of a type as a Lua table, which `dissector.lua` interprets, and adds its fields below `path`.
-    fn format(&mut self, format: &Format, path: &str) -> String {
+    /// Signed bytes, which no message holds, would be shown without sign.
+    ///
+    /// # Panics
+    /// If the type is a map, which no message holds.
+    fn form(&mut self, format: &Format, path: &str) -> String {
         match format {
             Format::TypeName(name) => {
                 let container = self.schemas.type_named(name).expect("a type that was traced").clone();
-                self.container(&container, path)
+                self.container_form(&container, path)
             }
             Format::Unit | Format::Variable(_) => "{\"nothing\"}".to_owned(),
             Format::Bool => self.add_leaf(path, "bool", "bool"),
@@ -134,21 +139,21 @@ impl ScriptBuilder<'_> {
             Format::F64 => self.add_leaf(path, "double", "double"),
             Format::Char | Format::Str => self.add_leaf(path, "text", "string"),
             Format::Bytes => self.add_leaf(path, "bytes", "bytes"),
-            Format::Option(inner) => format!("{{\"option\", {}}}", self.format(inner, path)),
+            Format::Option(inner) => format!("{{\"option\", {}}}", self.form(inner, path)),
             Format::Seq(inner) if **inner == Format::U8 => self.add_leaf(path, "bytes", "bytes"),
-            Format::Seq(inner) => format!("{{\"seq\", {}, {path:?}}}", self.format(inner, path)),
-            Format::TupleArray { content, size } => self.tuple(&vec![(**content).clone(); *size], path),
-            Format::Tuple(parts) => self.tuple(parts, path),
+            Format::Seq(inner) => format!("{{\"seq\", {}, {path:?}}}", self.form(inner, path)),
+            Format::TupleArray { content, size } => self.tuple_form(&vec![(**content).clone(); *size], path),
+            Format::Tuple(parts) => self.tuple_form(parts, path),
             Format::Map { .. } => panic!("messages hold no maps"),
         }
     }
 
-    fn container(&mut self, container: &ContainerFormat, path: &str) -> String {
+    fn container_form(&mut self, container: &ContainerFormat, path: &str) -> String {
         match container {
             ContainerFormat::UnitStruct => "{\"nothing\"}".to_owned(),
-            ContainerFormat::NewTypeStruct(inner) => self.format(inner, path),
-            ContainerFormat::TupleStruct(parts) => self.tuple(parts, path),
-            ContainerFormat::Struct(fields) => self.structure(fields, path),
+            ContainerFormat::NewTypeStruct(inner) => self.form(inner, path),
+            ContainerFormat::TupleStruct(parts) => self.tuple_form(parts, path),
+            ContainerFormat::Struct(fields) => self.struct_form(fields, path),
             ContainerFormat::Enum(variants) => {
                 self.add_field(&format!("{path}.is"), "string");
                 let mut variant_forms = String::new();
@@ -156,9 +161,9 @@ impl ScriptBuilder<'_> {
                     let inner = format!("{path}.{}", snake_case(&variant.name));
                     let form = match &variant.value {
                         VariantFormat::Unit | VariantFormat::Variable(_) => "{\"nothing\"}".to_owned(),
-                        VariantFormat::NewType(format) => self.format(format, &inner),
-                        VariantFormat::Tuple(parts) => self.tuple(parts, &inner),
-                        VariantFormat::Struct(fields) => self.structure(fields, &inner),
+                        VariantFormat::NewType(format) => self.form(format, &inner),
+                        VariantFormat::Tuple(parts) => self.tuple_form(parts, &inner),
+                        VariantFormat::Struct(fields) => self.struct_form(fields, &inner),
                     };
                     let _infallible = write!(variant_forms, "[{index}] = {{{:?}, {form}}}, ", variant.name);
                 }
@@ -167,26 +172,27 @@ impl ScriptBuilder<'_> {
         }
     }
 
-    fn structure(&mut self, fields: &[Named<Format>], path: &str) -> String {
+    fn struct_form(&mut self, fields: &[Named<Format>], path: &str) -> String {
         let forms = fields
             .iter()
-            .map(|field| self.format(&field.value, &format!("{path}.{}", field.name)));
+            .map(|field| self.form(&field.value, &format!("{path}.{}", field.name)));
         format!("{{\"all\", {}}}", forms.collect::<Vec<_>>().join(", "))
     }
 
-    fn tuple(&mut self, parts: &[Format], path: &str) -> String {
+    fn tuple_form(&mut self, parts: &[Format], path: &str) -> String {
         let forms = (0..)
             .zip(parts)
-            .map(|(at, part)| self.format(part, &format!("{path}.{at}")));
+            .map(|(index, part)| self.form(part, &format!("{path}.{index}")));
         format!("{{\"all\", {}}}", forms.collect::<Vec<_>>().join(", "))
     }
 }
 
-/// Converts the name of a variant, such as `GrantDone`, to the name of a field, `grant_done`.
+/// Converts the name of a variant, such as `GrantDone`, to the name of a field, `grant_done`. [`unit_of`] and
+/// `tests/recordings/check.py` rely on this form.
 fn snake_case(name: &str) -> String {
     let mut text = String::new();
-    for (at, letter) in name.char_indices() {
-        if letter.is_uppercase() && at > 0 {
+    for (index, letter) in name.char_indices() {
+        if letter.is_uppercase() && index > 0 {
             text.push('_');
         }
         text.extend(letter.to_lowercase());

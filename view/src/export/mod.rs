@@ -1,4 +1,6 @@
-//! Files of a run for other programs. A new format is a module here and a value of `inspect export --to`.
+//! Files of a run for other programs. `deploy/src/commands/inspect/export.rs` writes them. A new format is a module
+//! here, a value of `ExportFormatArg` (`inspect export --to`), a row in docs/inspecting.md and a check in
+//! `tests/recordings/check.py`.
 //!
 //! - [`pcapng`]: packets for Wireshark, which [`dissector`] teaches to read them.
 //! - [`perfetto`]: a trace of states, batteries and wake-ups, encoded by `protobuf`.

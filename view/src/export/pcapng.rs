@@ -1,13 +1,14 @@
-//! Export of messages as packets for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, virtual time.
+//! `reveille inspect export --to pcapng`: messages as packets for Wireshark, in pcapng (IETF draft-ietf-opsawg-pcapng),
+//! with link type USER0 and virtual time.
 //!
 //! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
 //! (one byte, in the order of [`MessageKind::ALL`]), whether the message's bus key ends in a number (one byte, 0 or 1),
-//! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both
-//! change together.
+//! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder repeats the offsets and the
+//! link type: change both.
 //!
 //! The order of [`MessageKind::ALL`] is thus part of the file format: a script dissects only files of the same
-//! [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), which changes with this order.
-//! `tests/recordings/check.py` reads the packets with tshark.
+//! [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), the first byte of each payload, which changes with this
+//! order. `tests/recordings/check.py` reads the packets with tshark.
 
 use core::time::Duration;
 use std::io::Write;
@@ -74,7 +75,7 @@ impl<W: Write> PacketWriter<W> {
     }
 }
 
-/// Returns the number of a kind in packets.
+/// Returns the number of a kind in packets, which is the index of its Lua table in the dissector too.
 pub fn kind_number(kind: MessageKind) -> u8 {
     let index = MessageKind::ALL.iter().position(|other| *other == kind);
     index.expect("all kinds are listed") as u8

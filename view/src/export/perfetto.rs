@@ -4,7 +4,9 @@
 //! Each device has a track with slices of its states and a counter with its battery. Each wake-up is an arrow from the
 //! base station to the device, where the outcome is named. Wake-ups follow each other, so the last arrow is always the
 //! open one. A TTI is a millisecond. The writer needs all frames of a run from TTI 0 in order, and skips frames that
-//! cannot be decoded. `tests/recordings/check.py` reads the traces.
+//! cannot be decoded. `tests/recordings/check.py` reads the traces and repeats names of tracks and slices.
+//!
+//! Field numbers are copies of Perfetto's schema. A new kind of message is not shown unless `write` lists it.
 
 use std::io::{self, Write};
 
@@ -25,7 +27,7 @@ const STATION_TRACK: u64 = 2;
 const EVENTS_TRACK: u64 = 3;
 const FIRST_DEVICE_TRACK: u64 = 16;
 
-/// Sequence of all packets.
+/// Sequence of all packets; any number except 0 will do.
 const PACKET_SEQUENCE_ID: u64 = 1;
 
 /// Field numbers and values of `perfetto.protos.TrackEvent`.
@@ -97,8 +99,8 @@ pub struct PerfettoWriter<W> {
     battery_interval: u64,
     /// Id of the last arrow; 0 before the first.
     last_flow_id: u64,
-    /// First TTI whose states are not written yet.
-    next_tti: Tti,
+    /// First TTI whose states are not written yet, unlike the mirror's next TTI, which is the next one to grant.
+    next_unwritten_tti: Tti,
 }
 
 impl<W: Write> PerfettoWriter<W> {
@@ -115,7 +117,7 @@ impl<W: Write> PerfettoWriter<W> {
             written: vec![None; deployment.devices.len()],
             battery_interval,
             last_flow_id: 0,
-            next_tti: Tti::ZERO,
+            next_unwritten_tti: Tti::ZERO,
         };
         let process = ProtoMessage::new()
             .varint(PROCESS_PID, 1)
@@ -139,7 +141,7 @@ impl<W: Write> PerfettoWriter<W> {
     /// Writes `frame`, unless it cannot be decoded.
     ///
     /// # Errors
-    /// If the trace cannot be written, or the frame contradicts the frames before it.
+    /// If the trace cannot be written, or the frame contradicts the frames before it. No frame may follow an error.
     pub fn write(&mut self, frame: &Frame) -> Result<(), TraceError> {
         let Ok(message) = frame.message() else {
             return Ok(());
@@ -180,7 +182,7 @@ impl<W: Write> PerfettoWriter<W> {
                 self.write_instant(frame.tti, state_track(device), &text, flow)?;
             }
             // A woken device's report is part of the outcome of its wake-up.
-            (Message::Report(report), Some(device)) if !self.mirror.is_waking() => {
+            (Message::Report(report), Some(device)) if !self.mirror.has_open_wake_up() => {
                 self.write_instant(frame.tti, state_track(device), &report.to_string(), None)?;
             }
             (Message::Lost(lost), Some(device)) => {
@@ -219,12 +221,12 @@ impl<W: Write> PerfettoWriter<W> {
 
     /// Writes the outstanding states of all TTIs before `end`.
     fn write_states_until(&mut self, end: Tti) -> io::Result<()> {
-        while self.next_tti < end {
-            let views = self.mirror.views_at(self.next_tti);
+        while self.next_unwritten_tti < end {
+            let views = self.mirror.views_at(self.next_unwritten_tti);
             for (id, view) in (0..).map(DeviceId).zip(views) {
-                self.write_state(self.next_tti, id, view)?;
+                self.write_state(self.next_unwritten_tti, id, view)?;
             }
-            self.next_tti = self.next_tti + 1;
+            self.next_unwritten_tti = self.next_unwritten_tti + 1;
         }
         Ok(())
     }
@@ -260,7 +262,7 @@ impl<W: Write> PerfettoWriter<W> {
         self.write_event(tti, &new_event(track_event::END, state_track(id)))
     }
 
-    /// Writes an instant event, with the field and id of an arrow that starts or ends in it.
+    /// Writes an instant event. `flow` is the field number and the id of an arrow that starts or ends in it.
     fn write_instant(&mut self, tti: Tti, track: u64, name: &str, flow: Option<(u32, u64)>) -> io::Result<()> {
         let event = new_event(track_event::INSTANT, track).string(track_event::NAME, name);
         self.write_event(

@@ -1,5 +1,6 @@
-//! Export of messages as a table for statistics programs, one row a message. The columns are a file format, in CSV by
-//! [`MessageRow::fields`] and in Parquet by [`MessageTableWriter`], in the order of [`COLUMNS`].
+//! `reveille inspect export --to csv` or `parquet`: a table for statistics programs, one row a message. The columns are
+//! a file format, in CSV by [`MessageRow::csv_fields`] and in Parquet by [`MessageTableWriter`], in the order of
+//! [`COLUMNS`], which both repeat. docs/inspecting.md describes them, and `tests/recordings/check.py` reads both files.
 //!
 //! | column | content |
 //! |---|---|
@@ -7,7 +8,7 @@
 //! | `plane`, `kind` | plane and kind of the message |
 //! | `number` | device or host in its key; empty for a kind without one |
 //! | `bytes` | encoded length |
-//! | `information`, `battery` | of a report: I_ij, and the remaining battery, units |
+//! | `information`, `battery` | of kind `report` only: I_ij, and the remaining battery, units |
 //! | `message` | all fields in JSON; `{"malformed": REASON}` if the payload cannot be decoded |
 
 use std::io::Write;
@@ -42,8 +43,8 @@ pub struct MessageRow {
     kind: &'static str,
     number: Option<u32>,
     bytes: usize,
-    /// Information and remaining battery, of a report.
-    report: Option<(f64, f64)>,
+    /// Information, and remaining battery in units, of a message of kind `report`.
+    information_and_battery: Option<(f64, f64)>,
     message: String,
 }
 
@@ -51,7 +52,7 @@ impl MessageRow {
     /// Creates the row of a frame.
     pub fn new(frame: &Frame) -> Self {
         let message = frame.message();
-        let report = match &message {
+        let information_and_battery = match &message {
             Ok(Message::Report(report)) => Some((report.information, report.battery.units())),
             Ok(_) | Err(_) => None,
         };
@@ -61,7 +62,7 @@ impl MessageRow {
             kind: frame.kind.name(),
             number: frame.number,
             bytes: frame.payload.len(),
-            report,
+            information_and_battery,
             message: match message {
                 // Serialised directly: a `Value` holds single precision as double, which prints more digits.
                 Ok(message) => serde_json::to_string(&message).expect("messages have a form in JSON"),
@@ -71,7 +72,7 @@ impl MessageRow {
     }
 
     /// Formats the row as the fields of a CSV line.
-    pub fn fields(&self) -> [String; COLUMNS.len()] {
+    pub fn csv_fields(&self) -> [String; COLUMNS.len()] {
         let text = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
         [
             self.tti.to_string(),
@@ -79,8 +80,8 @@ impl MessageRow {
             self.kind.to_owned(),
             self.number.map_or_else(String::new, |number| number.to_string()),
             self.bytes.to_string(),
-            text(self.report.map(|(information, _)| information)),
-            text(self.report.map(|(_, battery)| battery)),
+            text(self.information_and_battery.map(|(information, _)| information)),
+            text(self.information_and_battery.map(|(_, battery)| battery)),
             self.message.clone(),
         ]
     }
@@ -149,8 +150,12 @@ impl<W: Write + Send> MessageTableWriter<W> {
             group.write_required::<ByteArrayType>(rows().map(|row| row.kind.into()))?;
             group.write_optional::<Int32Type>(rows().map(|row| row.number.map(u32::cast_signed)))?;
             group.write_required::<Int32Type>(rows().map(|row| (row.bytes as u32).cast_signed()))?;
-            group.write_optional::<DoubleType>(rows().map(|row| row.report.map(|(information, _)| information)))?;
-            group.write_optional::<DoubleType>(rows().map(|row| row.report.map(|(_, battery)| battery)))?;
+            group.write_optional::<DoubleType>(
+                rows().map(|row| row.information_and_battery.map(|(information, _)| information)),
+            )?;
+            group.write_optional::<DoubleType>(
+                rows().map(|row| row.information_and_battery.map(|(_, battery)| battery)),
+            )?;
             group.write_required::<ByteArrayType>(rows().map(|row| row.message.as_str().into()))
         })
     }

@@ -1,6 +1,7 @@
 //! A scenario without a disk: its text and the files that it refers to. Recordings hold a bundle, and a base station
 //! sends one to observers; observers and readers rebuild the scenario of the run from it. File names and paths are
-//! part of recordings and of the bus message. [`SCENARIO_FILE`] and `summary.json` are reserved names.
+//! part of recordings and of the bus message. No referenced file may be called [`SCENARIO_FILE`] or `summary.json`,
+//! which nothing checks. `deploy/src/run_folder.rs` has the same two names for files of a run folder.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ pub const SCENARIO_FILE: &str = "scenario.toml";
 /// The text of a scenario, and the files that it refers to, by paths relative to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ScenarioBundle {
-    /// Text of the scenario.
+    /// Text of the scenario in TOML.
     pub text: String,
     /// Referenced files: path, with `/` between its parts, and bytes.
     pub referenced_files: Vec<(String, Vec<u8>)>,
@@ -58,7 +59,7 @@ impl ScenarioBundle {
         Ok(loaded.scenario)
     }
 
-    fn find(&self, path: &Path) -> Option<&[u8]> {
+    fn referenced_file(&self, path: &Path) -> Option<&[u8]> {
         let has_path = |(name, _): &&(String, Vec<u8>)| Path::new(name) == path;
         self.referenced_files.iter().find(has_path).map(|(_, bytes)| &bytes[..])
     }
@@ -66,7 +67,9 @@ impl ScenarioBundle {
 
 impl Files for ScenarioBundle {
     fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError> {
-        let bytes = self.find(path).ok_or(io::Error::from(io::ErrorKind::NotFound))?;
+        let bytes = self
+            .referenced_file(path)
+            .ok_or(io::Error::from(io::ErrorKind::NotFound))?;
         let length = bytes.len() as u64;
         if length > max_bytes {
             return Err(FileError::TooLong { length, max_bytes });
@@ -75,7 +78,7 @@ impl Files for ScenarioBundle {
     }
 
     fn exists(&self, path: &Path) -> bool {
-        self.find(path).is_some()
+        self.referenced_file(path).is_some()
     }
 
     fn absolute(&self, path: &Path) -> io::Result<PathBuf> {

@@ -4,6 +4,8 @@
 //! lines of [`FrameLine::to_json`](crate::frame_line::FrameLine::to_json), with a schema. Log time is virtual: a TTI is
 //! a millisecond. The container also holds the scenario, the files that it refers to and, at the end, the summary.
 //! Chunks of messages are compressed and written in order, so a torn file can be read up to the tear.
+//! docs/inspecting.md describes the format; `tests/recordings/check.py` reads it with another library and repeats
+//! topics, names of attachments and log times.
 
 mod bundle;
 mod reader;
@@ -35,8 +37,9 @@ pub(crate) const fn log_time(tti: Tti) -> u64 {
 
 /// Version of the recording format; the reader refuses files of other versions, and of other versions of the bus.
 ///
-/// Raise it with any change that an older reader would misread: the JSON lines, the attachments, the log times. Topics
-/// and schemas are also a contract with programs that show MCAP files, but our reader does not depend on topics.
+/// Raise it with any change that an older reader would misread: the JSON lines, the attachments, the log times, the
+/// keys of the metadata. A change of [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION) needs no change here.
+/// Topics and schemas are also a contract with programs that show MCAP files, but our reader does not depend on topics.
 pub const VERSION: u32 = 2;
 
 #[cfg(test)]

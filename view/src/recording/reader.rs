@@ -1,5 +1,6 @@
 //! Reader of recordings, whole or torn, from the start or from any TTI. It must read what `writer` writes: metadata,
-//! attachments, then messages with consecutive numbers.
+//! attachments, then messages with consecutive numbers and TTIs that never decrease. `inspect`, `compare` and the
+//! dashboard open recordings with it. They print a [`RecordingError`] after the name of the file.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -72,7 +73,7 @@ pub struct RecordingReader<R> {
     first_tti: Tti,
     bundle: ScenarioBundle,
     metadata: BTreeMap<String, String>,
-    /// Text of the run's summary, if the run has ended.
+    /// Text of the run's `summary.json`, if the run has ended; not the summary of MCAP, which is `index`.
     summary: Option<String>,
     /// Index at the end of the file, which MCAP calls a summary; `None` if the file was not closed.
     index: Option<Summary>,
@@ -151,7 +152,8 @@ impl<R: Read + Seek> RecordingReader<R> {
         self.len() == Some(0)
     }
 
-    /// Moves to the first frame of TTI `tti` or later. The index, if any, is used to skip earlier frames.
+    /// Moves to the first frame of TTI `tti` or later, forwards or backwards. The index, if any, is used to skip
+    /// earlier frames.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -198,6 +200,7 @@ impl<R: Read + Seek> RecordingReader<R> {
         }
     }
 
+    /// Returns the next frame of the file, without regard to `first_tti` and `first_frame`.
     fn read_frame(&mut self) -> Result<Option<Frame>, RecordingError> {
         if self.is_over {
             return Ok(None);
@@ -227,6 +230,7 @@ impl<R: Read + Seek> RecordingReader<R> {
         })
     }
 
+    /// Reads records up to the next message. Stores the metadata and the attachments on the way.
     fn read_to_message(&mut self) -> Result<Option<Frame>, ReadStop> {
         while let Some(event) = self.linear.next_event() {
             match event? {

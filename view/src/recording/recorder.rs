@@ -1,6 +1,6 @@
 //! Recorder of a running run. A separate thread writes the file; the run waits only when its queue is full. A write
 //! error does not end the run: the thread stops, and [`RecorderHandle::failure`] returns the error. The file is locked
-//! while it grows, which [`is_growing`] tests.
+//! while it grows, which [`is_growing`] tests. `deploy/src/recording.rs` starts the recorder of a run.
 
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Write};
@@ -18,7 +18,7 @@ use super::bundle::ScenarioBundle;
 use super::writer::RecordingWriter;
 use crate::batch_receiver::{BatchReceiver, lower_priority};
 
-/// Capacity of the queue, frames.
+/// Capacity of the queue, frames: enough for [`BatchReceiver`].
 const QUEUE_FRAMES: usize = 8_192;
 /// Longest time that frames stay unwritten while no others follow.
 const MAX_UNWRITTEN_TIME: Duration = Duration::from_millis(200);
@@ -65,7 +65,8 @@ pub struct RecorderHandle {
     shared: Arc<RecorderState>,
 }
 
-/// Whether a recorder is still writing `file`.
+/// Whether a recorder is still writing `file`; always false where the file system lacks locks. Releases any lock that
+/// `file` itself holds.
 pub fn is_growing(file: &File) -> bool {
     let is_locked = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
     // Released immediately: this was a test, and the lock belongs to the writer.
@@ -116,7 +117,8 @@ impl Recorder {
         }
     }
 
-    /// Completes the recording, with the text of the summary if the run has one.
+    /// Completes the recording, with the text of the summary if the run has one. Frames that handles add later are
+    /// lost.
     ///
     /// # Errors
     /// If the recording could not be written.
@@ -139,7 +141,7 @@ impl Recorder {
 }
 
 impl RecorderHandle {
-    /// Adds a frame; waits while the queue is full.
+    /// Adds a frame; waits while the queue is full. After a write error the frame is dropped.
     pub fn push(&self, frame: Frame) {
         let item = match self.queue.try_send(RecorderItem::Frame(frame)) {
             // If writing has failed, `failure` returns the error.
@@ -171,7 +173,7 @@ fn write_items(
     mut items: BatchReceiver<RecorderItem>,
 ) -> McapResult<u64> {
     loop {
-        let batch = match items.next(MAX_UNWRITTEN_TIME) {
+        let batch = match items.next_batch(MAX_UNWRITTEN_TIME) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => {
                 writer.flush()?;

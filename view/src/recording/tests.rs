@@ -1,5 +1,9 @@
 //! Tests of [`RecordingWriter`], [`RecordingReader`] and [`Reconstruction`]. Recordings are compared with the recorded
-//! frames, also when truncated, damaged or read from a TTI on. Reconstructions are compared with the outcomes of runs.
+//! frames, also when truncated, damaged or read from a TTI on. Reconstructions are compared with the outcomes of runs
+//! in memory without actions and lost devices, which `tests/tests/actions.rs` and `device_removal.rs` have. The thread
+//! of [`Recorder`] is tested with the program, in `tests/program/recording.rs`.
+//!
+//! Minimum numbers of frames are not requirements: they show that the tested case occurs.
 
 use std::io::Cursor;
 
@@ -19,12 +23,13 @@ use super::*;
 use crate::device_mirror::Discrepancy;
 use crate::reconstruction::Reconstruction;
 
-fn scenario_with(set: &[&str]) -> Scenario {
-    let set: Vec<Override> = set
+/// Loads the preset `paper` with `fields`, each of the form `field=value`.
+fn scenario_with(fields: &[&str]) -> Scenario {
+    let overrides: Vec<Override> = fields
         .iter()
-        .map(|set| Override::parse(set).expect("an override"))
+        .map(|field| Override::parse(field).expect("an override"))
         .collect();
-    load("paper", &set).expect("a scenario").scenario
+    load("paper", &overrides).expect("a scenario").scenario
 }
 
 /// Returns frames and outcome of a run of `scenario`, with states every `states_every` TTIs.
@@ -84,18 +89,20 @@ fn read_recording(bytes: &[u8]) -> (Vec<Frame>, Result<(), RecordingError>) {
 #[test]
 fn a_reconstruction_has_the_metrics_and_digest_of_the_run() {
     for policy in ["random", "adjusted", "knn", "q-learning", "age-index", "dt", "genie"] {
-        for (n, harvest, kind) in [(12, "0.5", "range"), (90, "5", "range"), (60, "5", "probabilistic")] {
+        for (n, e_b, kind) in [(12, "0.5", "range"), (90, "5", "range"), (60, "5", "probabilistic")] {
             let name = format!("policy.name={policy}");
-            let (n, harvest, kind) = (
-                format!("devices={n}"),
-                format!("harvest.e_b={harvest}"),
-                format!("sensing.kind={kind}"),
-            );
-            let scenario = scenario_with(&[&name, &n, &harvest, &kind, "ttis=600", "bs.sync_interval=9"]);
+            let scenario = scenario_with(&[
+                &name,
+                &format!("devices={n}"),
+                &format!("harvest.e_b={e_b}"),
+                &format!("sensing.kind={kind}"),
+                "ttis=600",
+                "bs.sync_interval=9",
+            ]);
             for lookahead in [true, false] {
                 let (frames, outcome) = run_with_frames(&scenario, lookahead, 13);
                 let score = reconstruct(&scenario, &frames).expect("consistent frames");
-                assert_eq!(score.digest, outcome.digest, "{policy}, {n}, {kind}");
+                assert_eq!(score.digest, outcome.digest, "{policy}, {n} devices, {kind}");
                 assert_eq!(format!("{:?}", score.metrics), format!("{:?}", outcome.metrics));
                 assert_eq!((score.totals, score.devices), (outcome.totals, outcome.devices));
                 let states = frames.iter().filter(|frame| frame.kind == MessageKind::States).count();
@@ -164,7 +171,7 @@ fn a_recording_round_trips() {
 fn a_recording_is_read_from_the_requested_tti() {
     let (scenario, frames) = small_run();
     let complete = write_recording(&scenario, &frames, None);
-    // Truncated, the recording lacks its index.
+    // Truncated by any bytes of its end, the recording lacks its index.
     for bytes in [&complete[..], &complete[..complete.len() - 900]] {
         for tti in [0, 1, 57, 200, 399, 400, 100_000] {
             let mut reader = RecordingReader::open(Cursor::new(bytes)).expect("a recording");

@@ -1,5 +1,5 @@
-//! Writer of recordings. The order and the contents of the records are a file format: raise [`VERSION`] with a change
-//! that the `reader` of an older program would misread.
+//! Writer of recordings, which [`Recorder`](super::Recorder) drives. The order and the contents of the records are a
+//! file format: raise [`VERSION`] with a change that the `reader` of an older program would misread.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -16,7 +16,8 @@ use super::{SUMMARY_FILE, VERSION, log_time, reader, topic};
 use crate::frame_line::FrameLine;
 use crate::schemas::MessageSchemas;
 
-/// Approximate size of a chunk before compression, bytes: the most data that a crash can lose.
+/// Approximate size of a chunk before compression, bytes: the most data that a crash can lose. docs/inspecting.md
+/// repeats it.
 const CHUNK_BYTES: u64 = 256 << 10;
 /// Compression level: the fastest.
 const COMPRESSION_LEVEL: u32 = 1;
@@ -44,7 +45,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES));
         let mut mcap = mcap::Writer::with_options(out, options)?;
-        // `reader` looks up these keys.
+        // `reader` looks up all keys but `digest`, which is for other programs.
         let metadata = [
             ("recording", VERSION.to_string()),
             ("wire", WIRE_VERSION.to_string()),
@@ -82,7 +83,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
         })
     }
 
-    /// Writes a frame.
+    /// Writes a frame. Its TTI must not be before the TTI of the frame before it.
     ///
     /// # Errors
     /// If the recording cannot be written.

@@ -109,7 +109,7 @@ fn write_format(
             let mut rows = csv::Writer::from_writer(out);
             rows.write_record(COLUMNS)?;
             let result = for_each_frame(args, recording, |frame| {
-                Ok(rows.write_record(MessageRow::new(frame).fields())?)
+                Ok(rows.write_record(MessageRow::new(frame).csv_fields())?)
             })?;
             rows.flush()?;
             Ok(result)

@@ -139,7 +139,7 @@ fn text_stats(traffic: &TrafficStats, device_count: u32, by_device: bool) -> Str
     for column in table.column_iter_mut().skip(2) {
         column.set_cell_alignment(CellAlignment::Right);
     }
-    let span = traffic.span().map_or_else(
+    let span = traffic.tti_range().map_or_else(
         || "no messages".to_owned(),
         |(first, last)| format!("TTIs {first} to {last}, {device_count} devices"),
     );

@@ -27,7 +27,7 @@ use crate::terminal;
 pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
     let mut filter = filter_without_devices(args);
-    filter.check().map_err(anyhow::Error::msg)?;
+    filter.check_kinds().map_err(anyhow::Error::msg)?;
     let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
     let needs_scenario = args.cluster.is_some() || !filter.states.is_empty();
     let scenario = if needs_scenario || matches!(source, FrameSource::Recorded(..)) {
