@@ -11,7 +11,7 @@ use reveille_lab::run::RunOptions;
 use reveille_tests::process::{
     PATIENCE, SummaryJson, TestFolder, assert_refused, hosts_of, send_signal, unique_run, wait_until,
 };
-use reveille_tests::scenarios::{actions, paper};
+use reveille_tests::scenarios::{draw_actions, paper};
 use rustix::process::Signal;
 
 /// Returns the actions as a script, by the grammar in docs/actions.md.
@@ -52,7 +52,7 @@ fn fifty_random_scripts_have_the_same_digest_over_the_bus_and_in_memory() {
             &format!("seed={seed}"),
             &format!("policy.name={policy}"),
         ]);
-        let drawn = actions(&scenario, seed);
+        let drawn = draw_actions(&scenario, seed);
         let script = to_script(&drawn);
         folder.write("script", &script);
         let (mut run, mut counter) = (start(&scenario, RunOptions::default()), ActionCounter::default());

@@ -71,12 +71,12 @@ impl ReferenceSource {
         }
     }
 
-    /// Returns the source as the base station knows it: `mean` in each TTI for recorded energy, and arrivals at any
-    /// time for a solar source with unknown time of day.
-    pub(super) fn with_known_harvest(self, mean: u64) -> Self {
+    /// Returns the source as the base station knows it: `mean_harvest` in each TTI for recorded energy, and arrivals at
+    /// any time for a solar source with unknown time of day.
+    pub(super) fn with_known_harvest(self, mean_harvest: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
-                rows: vec![mean],
+                rows: vec![mean_harvest],
                 ttis_per_row: 1,
                 repeats: true,
             },

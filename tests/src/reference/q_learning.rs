@@ -247,7 +247,7 @@ pub fn choose_by_ages(
             if may_sense { price(battery) } else { f64::INFINITY }
         };
         let prices: Vec<f64> = batteries.iter().enumerate().map(price_of).collect();
-        let additional = places.choose_at(&prices, &chosen)?;
+        let additional = places.choose_at_prices(&prices, &chosen)?;
         chosen.extend(additional);
     }
     chosen.sort_unstable();
