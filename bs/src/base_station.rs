@@ -242,8 +242,8 @@ impl BaseStation {
         }
     }
 
-    /// Begins TTI `k`. If a decision is due, the policy makes it now. Returns the plan to send, if any, and whether it is
-    /// new; a plan that is not new is sent for synchronisation.
+    /// Begins TTI `k`. If a decision is due, the policy makes it now. Returns the plan to send, if any, and whether it
+    /// is new; a plan that is not new is sent for synchronisation.
     ///
     /// # Panics
     /// If an external plan is due and not set, or the policy names no later TTI for its next decision.

@@ -28,8 +28,8 @@ impl DifferenceRow<'_> {
         let comparison = self.comparison;
         json!({
             "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": comparison.seeds,
-            "mean": comparison.compared_mean, "against_mean": comparison.reference_mean, "difference": comparison.difference,
-            "half_width": comparison.half_width, "paired": comparison.is_paired,
+            "mean": comparison.compared_mean, "against_mean": comparison.reference_mean,
+            "difference": comparison.difference, "half_width": comparison.half_width, "paired": comparison.is_paired,
         })
     }
 }
