@@ -32,7 +32,7 @@ fn energy() -> EnergyModel {
     }
 }
 
-/// Returns parameters for a perfect radio. Only `lookback` affects the choice; the others affect learning.
+/// Returns parameters for a perfect radio. Of the others only `lookback` affects the choice.
 fn duty_parameters(lookback: Lookback) -> DutyParameters {
     DutyParameters {
         schedule: Schedule::default(),
@@ -142,7 +142,7 @@ fn the_choice_with_ages_equals_the_choice_of_the_reference() {
     let [mut compared, mut undecided] = [0; 2];
     for seed in 0..60_u64 {
         let kind = ["range", "probabilistic"][usize::from(seed % 3 == 0)];
-        let (width, height) = [AREAS[0], AREAS[1], AREAS[3]][seed as usize % 3];
+        let (width, height) = [AREAS[0], AREAS[1], AREAS[3]][seed as usize / 3 % 3];
         let scenario = paper(&[
             "policy.name=q-learning",
             &format!("sensing.kind={kind}"),

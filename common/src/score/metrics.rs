@@ -242,11 +242,6 @@ metrics! {
         /// Energy spent, mean over devices and TTIs; the sum of the next three metrics.
         energy_per_device_tti: "units", "units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.total());
-        /// Σ I_i / energy spent by all devices; undefined if they spent none.
-        info_per_energy: "information/unit", "information per unit of energy" = |run| {
-            let spent = run.totals.energy.spent.total().units();
-            if spent > 0.0 { run.information() / spent } else { f64::NAN }
-        };
         /// Energy spent in S1, Eq. (4), including energy drained by failed attempts.
         energy_sensing_per_device_tti: "units", "units in S1 per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sensing);
@@ -256,6 +251,11 @@ metrics! {
         /// Energy spent from S2 to S3, Eq. (4), including energy drained by failed attempts.
         energy_report_per_device_tti: "units", "units in S2 and S3 per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.report);
+        /// Σ I_i / energy spent by all devices; undefined if they spent none.
+        info_per_energy: "information/unit", "information per unit of energy" = |run| {
+            let spent = run.totals.energy.spent.total().units();
+            if spent > 0.0 { run.information() / spent } else { f64::NAN }
+        };
         /// Jain's index of the energy spent per device: 1 if all devices spend the same, 1/N if one device spends all.
         fairness_energy: "0 to 1", "Jain's index of the energy spent" = |run| run.jain();
         /// Energy harvested, including overflow, mean over devices and TTIs.

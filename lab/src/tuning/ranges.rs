@@ -1,8 +1,9 @@
 //! The search ranges of the weights on a logarithmic scale, and the first pairs to try. A position is a place in the
 //! unit square: the shares of the ranges' logarithms.
 //!
-//! A resumed tuning must choose the pairs of an uninterrupted one. [`super::Tuner::open`] compares the design only, so
-//! another draw, constant or rounding here silently changes the later pairs of earlier histories.
+//! A resumed tuning must choose the pairs of an uninterrupted one. [`super::Tuner::open`] refuses a history of another
+//! version or plan, or with another design. It cannot see a change of the later pairs (`draw_farthest`,
+//! `is_close_to_any`, `position`), which within a version silently alters resumed tunings.
 
 use libm::{exp, log};
 use reveille_common::rng::{Purpose, Stream};

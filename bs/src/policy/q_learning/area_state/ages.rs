@@ -25,7 +25,7 @@ pub(super) struct AgedArea {
     /// By device, its price in the current pass of the choice; infinite if it may not be chosen.
     prices: Vec<f64>,
     battery_buckets: Vec<u8>,
-    /// Whether a TTI has passed.
+    /// Whether the first TTI has begun.
     has_begun: bool,
     /// Whether an event was reported in the TTI of the last decision.
     is_event_reported: bool,
