@@ -174,7 +174,7 @@ mod tests {
         let pilots = settings.pilot_search().expect("a search");
         let results = collect_pilot_results(settings, &pilot_runs(&prepared, &pilots));
         let pairs: Vec<(u32, u32)> = results.iter().map(|result| (result.t_on, result.t_drx)).collect();
-        // Only pairs with t_on < t_drx.
+        // Only pairs with t_on ≤ t_drx.
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
         let chosen = prepared.pilot_choice.as_ref().expect("a choice");
         let choice: &DutyCycleChoice = chosen.downcast_ref().expect("a duty cycle");

@@ -188,7 +188,7 @@ fn aftershocks_are_uniform_within_their_radius() {
     let mut rings = [0.0; 10];
     let mut sectors = [0.0; 12];
     for (x, y) in &inside {
-        rings[((x * x + y * y) * 10.0) as usize] += 1.0;
+        rings[(((x * x + y * y) * 10.0) as usize).min(9)] += 1.0;
         let turns = libm::atan2(*y, *x) / std::f64::consts::TAU + 0.5;
         sectors[((turns * 12.0) as usize).min(11)] += 1.0;
     }

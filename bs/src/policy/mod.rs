@@ -2,8 +2,9 @@
 //!
 //! A policy returns a δ plan and the TTI of its next decision; after a report it names the sleeping devices to wake,
 //! one by one ([`interface`]). Each policy is a folder or a file with its settings, its algorithm and its entry
-//! ([`factory`]). To add a policy, add a module here and an entry in [`registry::POLICIES`]. The policy [`external`]
-//! sends decision requests to another program; [`outside`] registers it for the programs that can serve them.
+//! ([`factory`]). To add a policy, follow docs/writing-a-policy.md: a module here, an entry in [`registry::POLICIES`],
+//! generated files. The policy [`external`] sends decision requests to another program; [`outside`] registers it for the
+//! programs that can serve them.
 
 pub mod adjusted;
 pub mod age_index;
@@ -21,19 +22,19 @@ pub mod registry;
 use reveille_common::ids::DeviceId;
 use reveille_common::plan::Plan;
 
-/// Number of decisions so far, and of the devices that sense in them. For policies that decide in every TTI: the fact
-/// counts each decision as one TTI.
+/// Number of decisions so far, and of the devices that sense in them. The fact
+/// is per TTI only for policies that decide in every TTI.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensingCount {
     decisions: u64,
-    sensing_devices: u64,
+    sensing_device_count: u64,
 }
 
 impl SensingCount {
-    /// Returns the plan for `device_count` devices in which the `chosen` ones, in ascending order, sense. Counts it.
+    /// Returns the plan for `device_count` devices in which the `chosen` ones sense, each with an id below it. Counts it.
     pub fn count_and_plan(&mut self, device_count: usize, chosen: &[DeviceId]) -> Plan {
         self.decisions += 1;
-        self.sensing_devices += chosen.len() as u64;
+        self.sensing_device_count += chosen.len() as u64;
         Plan::from_devices(device_count, chosen)
     }
 
@@ -41,7 +42,7 @@ impl SensingCount {
     pub fn summary_fact(&self) -> (&'static str, f64) {
         (
             "sensing_per_tti",
-            self.sensing_devices as f64 / self.decisions.max(1) as f64,
+            self.sensing_device_count as f64 / self.decisions.max(1) as f64,
         )
     }
 }

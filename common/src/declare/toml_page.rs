@@ -64,7 +64,7 @@ impl TomlPage {
         self.to_text(declaration, Detail::ActiveOnly)
     }
 
-    /// Returns the active fields and, commented out, every other field with its allowed values.
+    /// Returns the active fields and, commented out, every other field with its allowed words.
     pub fn all_fields(&self, declaration: &Declaration) -> String {
         self.to_text(declaration, Detail::AllFields)
     }
@@ -159,7 +159,7 @@ impl FieldDefault {
     }
 }
 
-/// Returns the comment of a field: meaning, unit, allowed values, condition. The meaning is the help up to its first
+/// Returns the comment of a field: meaning, unit, allowed words, condition. The meaning is the help up to its first
 /// full stop before a blank.
 fn field_comment(
     field: &Field,
@@ -168,7 +168,7 @@ fn field_comment(
     is_active: bool,
 ) -> String {
     let meaning = field.help.split_once(". ").map_or(field.help, |(first, _)| first);
-    let mut parts = vec![meaning.trim_end_matches('.').replace(['\n', '`'], "")];
+    let mut parts = vec![meaning.trim_end_matches('.').replace('\n', " ").replace('`', "")];
     if !field.unit.is_empty() {
         parts.push(field.unit.to_owned());
     }

@@ -63,7 +63,7 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
     let deployment = ReferenceDeployment {
         positions: positions.to_vec(),
         classes: assign_classes(scenario),
-        plays_traces: false,
+        has_known_harvest: true,
     };
     let mut ttis = settings.pilot_ttis;
     let limit = settings.pilot_limit.max(ttis);

@@ -167,10 +167,10 @@ impl<'a> ReferenceWorld<'a> {
             };
             estimates.push(ReferenceEstimate::new(settings.energy, expected_harvest, is_daylight));
             let source = ReferenceSource::new(&settings.harvest, scenario.run.tau, seed, id as u64, nth);
-            let source = if deployment.plays_traces {
-                source
-            } else {
+            let source = if deployment.has_known_harvest {
                 source.with_known_harvest(known_mean)
+            } else {
+                source
             };
             devices.push(Device::new(settings.energy, source));
         }
