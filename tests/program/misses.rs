@@ -193,7 +193,7 @@ fn the_actions_of_a_run_are_named() {
     assert_eq!(report["missed_after_first_action"], missed_after_action);
     assert_eq!(
         report["first_actions"],
-        serde_json::json!(["TTI 1200 fail 0-9", "TTI 2500 revive 0-9"])
+        serde_json::json!(["TTI 1200 devices 0 to 9 fail", "TTI 2500 devices 0 to 9 are revived"])
     );
     let text = folder.run("inspect misses r").stdout;
     assert!(

@@ -3,8 +3,8 @@
 //! A policy returns a δ plan and the TTI of its next decision; after a report it names the sleeping devices to wake,
 //! one by one ([`interface`]). Each policy is a folder or a file with its settings, its algorithm and its entry
 //! ([`factory`]). To add a policy, follow docs/writing-a-policy.md: a module here, an entry in [`registry::POLICIES`],
-//! generated files. The policy [`external`] sends decision requests to another program; [`outside`] registers it for the
-//! programs that can serve them.
+//! generated files. The policy [`external`] sends decision requests to another program; [`outside`] registers it for
+//! the programs that can serve them.
 
 pub mod adjusted;
 pub mod age_index;
@@ -31,7 +31,8 @@ pub struct SensingCount {
 }
 
 impl SensingCount {
-    /// Returns the plan for `device_count` devices in which the `chosen` ones sense, each with an id below it. Counts it.
+    /// Returns the plan for `device_count` devices in which the `chosen` ones sense, each with an id below it. Counts
+    /// it.
     pub fn count_and_plan(&mut self, device_count: usize, chosen: &[DeviceId]) -> Plan {
         self.decisions += 1;
         self.sensing_device_count += chosen.len() as u64;

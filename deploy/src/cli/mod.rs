@@ -1,8 +1,8 @@
 //! The command line: commands, options and help, declared with clap, one file per group of commands. The modules of
 //! `commands` execute them. Names of options and values are a public interface: a renamed one needs an entry in
-//! `former`, a new command one in `groups`, a global option with a value one in `former::command_word_positions`, an option
-//! that only some commands have one in `misplaced`. Doc comments are help texts. Tests check that every help has two
-//! valid examples (`examples`), and compare the options of a run with docs/command-line.md.
+//! `former`, a new command one in `groups`, a global option with a value one in `former::command_word_positions`, an
+//! option that only some commands have one in `misplaced`. Doc comments are help texts. Tests check that every help has
+//! two valid examples (`examples`), and compare the options of a run with docs/command-line.md.
 
 mod analyse;
 mod compare;

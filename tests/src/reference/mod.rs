@@ -10,6 +10,7 @@
 //! If rounding or its own integration rule for `P_4,2` could change a decision, it stops and reports the TTI
 //! ([`ReferenceRun::ambiguous`]).
 
+mod active_event;
 mod age_index;
 mod clusters;
 mod deployment;
@@ -22,6 +23,7 @@ mod i_min;
 mod policy;
 mod q_learning;
 mod radio;
+mod run;
 mod search;
 mod world;
 
@@ -36,8 +38,8 @@ pub use device::ReferenceState;
 pub use i_min::least_information;
 pub use policy::ReferencePolicy;
 pub use q_learning::{ReferenceDutySelector, choose_by_ages};
+pub use run::ReferenceRun;
 pub use search::reference_search;
-pub use world::ReferenceRun;
 use world::play;
 
 /// Runs `scenario` on the reference implementation.

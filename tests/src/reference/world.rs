@@ -9,9 +9,10 @@ use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::{Change, OperatorAction, Setting};
 use reveille_common::score::EventActivity;
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
+use reveille_common::totals::{EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
+use super::active_event::ActiveEvent;
 use super::clusters::distance;
 use super::deployment::ReferenceDeployment;
 use super::detection::{Obstacle, detects, miss_cause};
@@ -19,42 +20,9 @@ use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
 use super::events::ReferenceEvents;
 use super::harvest::{ReferenceSource, expected_day, is_day, mean_harvest};
-use super::policy::{ReferencePolicy, Reporter, Situation, WakeUpChoice};
+use super::policy::{ReferencePolicy, Situation, WakeUpChoice};
 use super::radio::ReferenceRadio;
-
-/// Result of a run of the reference.
-#[derive(Clone, Debug)]
-pub struct ReferenceRun {
-    /// Ended events, in order.
-    pub events: Vec<EventRecord>,
-    /// Ledgers by device.
-    pub ledgers: Vec<Ledger>,
-    /// Activity of each device over the counted events.
-    pub activity: Vec<EventActivity>,
-    /// Sum of the ledgers over the measured part.
-    pub measured: DeviceTotals,
-    /// Sums over the counted events.
-    pub totals: EventTotals,
-    /// Mean probability, over the measured part, that an event starts in a TTI without an active event. NaN without a
-    /// measured TTI.
-    pub start_probability: f64,
-    /// Wake-ups sent in measured TTIs, for any event.
-    pub wake_ups: u64,
-    /// Radio losses in measured TTIs.
-    pub losses: RadioLosses,
-    /// TTIs from the first report to the last, summed over the counted events.
-    pub wake_up_span_ttis: u64,
-    /// Reports that arrived in measured TTIs.
-    pub arrived_reports: u64,
-    /// Wake-ups that a device did not receive, in all TTIs; `losses` counts the measured ones.
-    pub missed_wake_ups: u64,
-    /// TTIs with wake-up decisions that excluded a device in S4, estimated as unable to report.
-    pub exclusions: u64,
-    /// State and battery of each device at the end of each TTI.
-    pub trace: Vec<Vec<(ReferenceState, u64)>>,
-    /// TTI in which a decision was too close to call: rounding could change it. Results from there on are undefined.
-    pub ambiguous: Option<u64>,
-}
+use super::run::ReferenceRun;
 
 /// Runs `scenario` on `deployment` with `policy` and the `actions` of operators, in the order of TTIs. Stops at the
 /// first decision that is too close to call.
@@ -87,31 +55,6 @@ pub(super) fn play(
     world.into_run()
 }
 
-/// Active event.
-#[derive(Clone, Debug)]
-struct Event {
-    epicentre: Point,
-    start: u64,
-    duration: u64,
-    tally: EventTally,
-    information: f64,
-    /// TTIs from the first report to the last.
-    wake_up_span: u64,
-    /// The obstacle met that is closest to a report.
-    furthest_obstacle: Option<Obstacle>,
-    /// Contributions of devices to [`ReferenceRun::activity`], if the event counts.
-    activity: Vec<(usize, EventActivity)>,
-    /// Devices whose reports had information. All are of this TTI: the event ends in the TTI of its first report.
-    reporters: Vec<Reporter>,
-}
-
-impl Event {
-    /// Records an obstacle to a report.
-    fn meet(&mut self, obstacle: Obstacle) {
-        self.furthest_obstacle = self.furthest_obstacle.max(Some(obstacle));
-    }
-}
-
 /// State of a run. Fields without a comment are fields of [`ReferenceRun`] so far.
 struct ReferenceWorld<'a> {
     /// Scenario of the run.
@@ -127,7 +70,7 @@ struct ReferenceWorld<'a> {
     /// First measured TTI.
     warm_up_end: u64,
     /// Active event.
-    active_event: Option<Event>,
+    active_event: Option<ActiveEvent>,
     /// Starts, places and durations of events.
     event_process: ReferenceEvents<'a>,
     /// Message losses and false wake-ups.
@@ -276,7 +219,7 @@ impl<'a> ReferenceWorld<'a> {
             return;
         }
         let (epicentre, duration) = self.event_process.draw_event();
-        self.active_event = Some(Event {
+        self.active_event = Some(ActiveEvent {
             epicentre,
             start: k,
             duration,
@@ -412,7 +355,7 @@ impl<'a> ReferenceWorld<'a> {
     }
 
     /// Wakes device `j` after the end of the event; it detects nothing and sleeps again.
-    fn wake_too_late(&mut self, j: usize, k: u64, event: &mut Event) {
+    fn wake_too_late(&mut self, j: usize, k: u64, event: &mut ActiveEvent) {
         let device = &mut self.devices[j];
         device.false_wake_ups += 1;
         let (spent, is_paid) = device.pay(device.costs.e_idle, S4);
@@ -432,7 +375,7 @@ impl<'a> ReferenceWorld<'a> {
     }
 
     /// From S2: device `j` sends its report if it can pay for it. Returns whether the report arrives.
-    fn send_report(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
+    fn send_report(&mut self, j: usize, k: u64, event: &mut ActiveEvent) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
         let is_in_range = d <= sensing.d_max;
@@ -511,7 +454,7 @@ impl<'a> ReferenceWorld<'a> {
     }
 
     /// Returns the cause of the miss of `event`, which ends in this TTI; `None` if it was reported.
-    fn miss_cause(&self, event: &Event) -> Option<MissCause> {
+    fn miss_cause(&self, event: &ActiveEvent) -> Option<MissCause> {
         let positions = self.positions.iter().enumerate();
         let distances = positions.map(|(j, position)| (j, distance(*position, event.epicentre)));
         let in_range: Vec<_> = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max).collect();

@@ -41,9 +41,9 @@ pub struct Transition {
     pub printed_range: (f64, f64),
     /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or NaN.
     pub improper_count: usize,
-    /// Share of the visits if δ alone decides (no events, no failures), over all devices, by the duty cycles of the first
-    /// TTI: without meaning under a policy that decides in every TTI. `None` for other pairs than S1 and S4, and without
-    /// a visit.
+    /// Share of the visits if δ alone decides (no events, no failures), over all devices, by the duty cycles of the
+    /// first TTI: without meaning under a policy that decides in every TTI. `None` for other pairs than S1 and S4, and
+    /// without a visit.
     pub share_by_duty: Option<f64>,
     /// Number of transitions S_m → S_n.
     pub count: u64,
