@@ -69,14 +69,16 @@ fn recorded_harvest_is_exact_and_ranges_over_the_columns() {
 fn longest_run(ttis: u64, is_dark: impl Fn(u64) -> bool) -> (u64, i64) {
     let is_start = |tti: &u64| *tti == 0 || !is_dark(tti - 1);
     let length = |start: u64| (start..ttis).take_while(|tti| is_dark(*tti)).count() as u64;
-    let runs = (0..ttis).filter(is_start).map(|start| (length(start), -(start as i64)));
+    let runs = (0..ttis)
+        .filter(is_start)
+        .map(|start| (length(start), -start.cast_signed()));
     runs.max().unwrap_or_default()
 }
 
 /// The longest gap of the first class, as [`longest_run`] returns it.
 fn longest_gap(balance: &EnergyBalance) -> Option<(u64, i64)> {
     let gap = balance.classes[0].longest_gap?;
-    Some((gap.ttis, -(gap.first.0 as i64)))
+    Some((gap.ttis, -gap.first.0.cast_signed()))
 }
 
 #[test]

@@ -274,17 +274,22 @@ pub(crate) async fn serve_run(
     server::dismiss_hosts(bus, result.as_ref().err().map(|error| format!("{error:#}")))?;
     bus.flush_observers(OBSERVER_DRAIN_TIMEOUT).await;
     if let Some(feed_handle) = feed_handle {
-        feed_handle.end();
-        tokio::time::sleep(DASHBOARD_GRACE).await;
-        if service.holds_dashboard && result.is_ok() && !signals.has_arrived() {
-            // The run has ended for all other programs.
-            drop((registration, described));
-            signals.note_saved();
-            note!("the dashboard is served until Ctrl-C");
-            signals.wait_for_first().await;
-        }
+        // The run has ended for all other programs.
+        drop((registration, described));
+        end_dashboard(&feed_handle, service.holds_dashboard && result.is_ok(), signals).await;
     }
     result
+}
+
+/// Ends the dashboard's feed of the run. If `holds`, serves the dashboard until the first signal.
+async fn end_dashboard(feed_handle: &FeedHandle, holds: bool, signals: &Signals) {
+    feed_handle.end();
+    tokio::time::sleep(DASHBOARD_GRACE).await;
+    if holds && !signals.has_arrived() {
+        signals.note_saved();
+        note!("the dashboard is served until Ctrl-C");
+        signals.wait_for_first().await;
+    }
 }
 
 /// Runs over the bus, together with the replay. Returns the outcome and the extent of the audit, for the

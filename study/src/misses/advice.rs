@@ -91,17 +91,19 @@ struct WeakestClass<'s> {
 
 impl<'s> WeakestClass<'s> {
     /// Returns the weakest class of `scenario`; `None` if no class has devices.
-    fn new(scenario: &'s Scenario) -> Option<Self> {
+    fn new(scenario: &'s Scenario) -> Self {
         let classes = EnergyBalance::new(scenario).classes;
         let is_one_of_several = classes.len() > 1;
         let ratio = |class: &ClassBalance| class.sleeping_ratio().unwrap_or(f64::INFINITY);
-        let balance = classes.into_iter().min_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
-        Some(Self {
-            class: scenario.classes.iter().find(|class| class.name == balance.name)?,
+        let weakest = classes.into_iter().min_by(|a, b| ratio(a).total_cmp(&ratio(b)));
+        let balance = weakest.expect("a scenario has devices");
+        let class = scenario.classes.iter().find(|class| class.name == balance.name);
+        Self {
+            class: class.expect("a balance is of a class of the scenario"),
             balance,
             is_one_of_several,
             tau: scenario.run.tau,
-        })
+        }
     }
 
     /// Whether the harvest pays for sleeping. Otherwise batteries run down under every policy.
@@ -235,16 +237,8 @@ pub(super) fn advise(
 fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let weakest = WeakestClass::new(scenario);
-    let save_energy = |spend_less: &[&str]| {
-        let weakest = weakest.as_ref();
-        weakest.map_or_else(Vec::new, |class| class.ways_to_save_energy(energy, policy, spend_less))
-    };
-    let harvest_more = || {
-        weakest
-            .as_ref()
-            .map_or_else(Vec::new, |class| class.ways_to_harvest_more(energy))
-    };
-    let balance = || weakest.as_ref().map_or_else(String::new, WeakestClass::describe);
+    let save_energy = |spend_less: &[&str]| weakest.ways_to_save_energy(energy, policy, spend_less);
+    let balance = || weakest.describe();
     let to_strings = |changes: Vec<&str>| changes.into_iter().map(str::to_owned).collect::<Vec<_>>();
     let low_energy = energy
         .map(|energy| energy.low_energy_pct)
@@ -282,7 +276,7 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
                          would empty them. {}",
                         balance()
                     ));
-                    harvest_more()
+                    weakest.ways_to_harvest_more(energy)
                 }
                 None => to_strings(ways_to_sense_more(policy)),
             },

@@ -225,7 +225,7 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
         numbers.collect::<Vec<_>>()
     };
     let e_b = values_of("raise harvest.e_b");
-    let arrival = 0.1 * f64::exp(-0.1);
+    let arrival = 0.1 * libm::exp(-0.1);
     for (value, cost) in e_b
         .iter()
         .zip([starved.classes[0].energy.e_wur, starved.classes[0].energy.e_idle])
@@ -236,7 +236,7 @@ fn amounts_in_the_advice_pay_for_sleeping_and_sensing() {
     let [lambda] = values_of("raise harvest.lambda")[..] else {
         panic!("{advice}")
     };
-    let paid = lambda * f64::exp(-lambda) * 0.3 / starved.classes[0].energy.e_wur.units();
+    let paid = lambda * libm::exp(-lambda) * 0.3 / starved.classes[0].energy.e_wur.units();
     assert!((paid - 1.0).abs() < 0.01, "{advice}");
     let (before, after) = (
         missed_pct(&["harvest.e_b=0.3"]),

@@ -198,8 +198,9 @@ impl ReferencePolicy {
                 closest(situation).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
             }
             Self::Random(_) | Self::Genie => WakeUpChoice::Stop,
-            Self::Adjusted { members, i_min, .. } => self.most_correlated(situation, members, *i_min),
-            Self::Knn { members, i_min } => self.most_correlated(situation, members, *i_min),
+            Self::Adjusted { members, i_min, .. } | Self::Knn { members, i_min } => {
+                self.most_correlated(situation, members, *i_min)
+            }
         }
     }
 
