@@ -176,7 +176,7 @@ impl DeviceMirror {
     /// Ledgers of all devices if the run ended after the current TTI, in the order of ids.
     ///
     /// # Panics
-    /// If a device is past the current TTI, after [`Self::views_at`] or [`Self::view_at`].
+    /// If a device is past the current TTI, after `views_at` or `view_at`.
     pub fn ledgers(&self) -> Vec<Ledger> {
         let end = self.next_tti();
         // On copies: settling closes the open TTI, and the run may continue.

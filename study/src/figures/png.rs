@@ -11,7 +11,7 @@ use super::scene::{Paint, Rgb, Scene, SceneItem, Shape, Stroke, Text};
 pub(crate) const DPI: f64 = 300.0;
 /// Points per inch.
 const POINTS_PER_INCH: f64 = 72.0;
-/// Colour of ink, repeated as `color` in [`super::svg`] and as `--ink` in the report's `page.css`.
+/// Colour of ink, repeated in the style of [`super::svg`] and as `--ink` in the report's `page.css`.
 const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
 /// No clipping.
 const NO_CLIP: Option<&Mask> = None;

@@ -56,7 +56,7 @@ fn number(x: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// Returns the attribute value of `paint`. The colour of ink alone is `color` above and `INK` in [`super::png`].
+/// Returns the attribute value of `paint`. The colour of ink alone is the style above and `INK` in [`super::png`].
 fn colour(paint: Paint) -> String {
     match paint {
         Paint::Ink => "currentColor".to_owned(),

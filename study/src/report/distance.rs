@@ -9,7 +9,7 @@ use crate::claims::{Claim, Statement};
 /// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
 /// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
 /// of the range of all means. A constant level: half the range divided by the middle. Unlike in the rule of
-/// [`super::judge`], these two ranges cover all compared policies together. Deviations are comparable only under the
+/// [`super::judge()`], these two ranges cover all compared policies together. Deviations are comparable only under the
 /// same claim.
 pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {
     if findings.is_empty() {
