@@ -195,9 +195,9 @@ fn the_actions_of_a_run_are_named() {
         report["first_actions"],
         serde_json::json!(["TTI 1200 devices 0 to 9 fail", "TTI 2500 devices 0 to 9 are revived"])
     );
-    let text = folder.run("inspect misses r").stdout;
+    let text = folder.run("inspect misses r").stdout.replace('\n', " ");
     assert!(
-        text.contains("2 actions: TTI 1200 fail 0-9, TTI 2500 revive 0-9"),
+        text.contains("2 actions: TTI 1200 devices 0 to 9 fail, TTI 2500 devices 0 to 9 are revived;"),
         "{text}"
     );
     assert!(text.contains(&format!("{missed_after_action} of the missed")), "{text}");
