@@ -55,8 +55,8 @@ export class Chart {
   }
 
   // Each run has a name, a colour of the style sheet, and points: a TTI and a value for each line.
-  show(runs, start, end, tti, notice = "") {
-    Object.assign(this, { runs, start, end: Math.max(end, start + 1), tti, notice, ground: null });
+  show(runs, start, end, tti) {
+    Object.assign(this, { runs, start, end: Math.max(end, start + 1), tti, ground: null });
     this.paint();
   }
 
@@ -110,7 +110,7 @@ export class Chart {
     this.decorate?.(draw, bottom);
     this.paintTtis(draw, width, bottom);
     draw.beginPath();
-    draw.rect(MARGIN.left, 0, width - MARGIN.left, bottom + 1);
+    draw.rect(MARGIN.left, MARGIN.top - 4, width - MARGIN.left, bottom + 5 - MARGIN.top);
     draw.clip();
     for (const { points, colour } of this.runs) {
       draw.strokeStyle = ink(colour);
@@ -162,7 +162,7 @@ export class Chart {
     draw.drawImage(this.ground.canvas, 0, 0, width, height);
     if (this.tti !== null && this.ground.hasValues) this.paintRule(draw, height, this.tti, "--faint", []);
     this.note.hidden = this.ground.hasValues;
-    this.note.textContent = this.notice || this.emptyText;
+    this.note.textContent = this.emptyText;
     this.paintReadout(draw, height);
   }
 
@@ -217,7 +217,7 @@ export class Chart {
     const place = `TTI ${ttiText(found[0]?.tti ?? 0)}`, key = text + place + ink("--line");
     if (this.legendKey === key) return;
     this.legendKey = key;
-    this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${this.notice || text}`);
+    this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${text}`);
     this.legend.replaceChildren(...(hasValues ? this.series : []).map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : [place]), ...found.map(({ colour, values }) => {
       const value = element("b", { textContent: shortNumber(values[nth]) });
       if (found.length > 1) value.style.color = ink(colour);

@@ -2,7 +2,7 @@
 
 import { ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
-import { page } from "./page_state.js";
+import { byId, page, setText } from "./page_state.js";
 
 const CHARTS = [
   { id: "p1", title: "Information P1", unit: "per α and TTI", series: [""], counted: true, value: (p) => [p.metrics[0]] },
@@ -22,12 +22,15 @@ export class Charts {
   show() {
     const { now, run, other, points } = page;
     const isWarmingUp = now.next <= run.warm_up_end;
-    const warmUp = isWarmingUp ? `warm-up until TTI ${ttiText(run.warm_up_end)}; nothing is counted yet` : "";
+    setText(byId("curves-note"), isWarmingUp
+      ? `information, missed events, delay and energy begin at TTI ${ttiText(run.warm_up_end)}, the end of the warm-up`
+      : "up to each TTI; without the warm-up, except batteries and traffic");
     const end = Math.max(now.next - 1, other?.points.at(-1)?.tti ?? 0, 1);
     for (const { chart, value, counted } of this.charts) {
       const runs = [{ name: "this run", colour: "--accent", points: points.map((p) => [p.tti, value(p)]) }];
       if (other) runs.push({ name: "other run", colour: "--other", points: other.points.map((p) => [p.tti, value(p)]) });
-      chart.show(runs, 0, end, page.follows ? null : page.tti, counted ? warmUp : "");
+      chart.figure.hidden = Boolean(counted && isWarmingUp);
+      chart.show(runs, 0, end, page.follows ? null : page.tti);
     }
   }
 

@@ -32,7 +32,7 @@ function ledgerRows(totals) {
 
 export async function showDevice() {
   const { device, run, now, tti } = page;
-  byId("one").hidden = device < 0;
+  byId("one").hidden = byId("chosen").hidden = device < 0;
   byId("device").value = device < 0 ? "" : device;
   if (device < 0 || now.next <= now.first) return;
   const own = ++requested, from = Math.max(now.first, tti - TTIS_BEFORE), end = Math.min(now.next, tti + TTIS_AFTER);
@@ -41,6 +41,8 @@ export async function showDevice() {
   const cluster = run.groups ? ` · cluster ${run.groups[device]}` : "", deviceClass = run.classes.length > 1 ? ` · class ${run.classes[run.device_classes[device]]}` : "";
   byId("one-title").textContent = `Device ${device}`;
   byId("one-facts").textContent = `${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m`;
+  byId("chosen-facts").textContent = `Device ${device}: ${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass}`;
+  byId("show-one").onclick = () => byId("one").scrollIntoView({ behavior: "smooth" });
   if (run.controls) showActions(now.states[device]);
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),

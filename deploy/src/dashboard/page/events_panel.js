@@ -19,8 +19,8 @@ export function showLastEvents(onChooseTti) {
 // Shows the first TTI of the next missed event, or of the previous one.
 export async function showMiss(isNext, onChooseTti) {
   const miss = await get(`api/miss?${isNext ? "after" : "before"}=${page.tti}`);
-  byId("miss-note").textContent = miss ? `missed event ${miss.event}, TTIs ${miss.start} to ${miss.last}` : `no missed event ${isNext ? "after" : "before"} TTI ${page.tti}`;
   if (miss) await onChooseTti(miss.start);
+  byId("miss-note").textContent = miss ? `missed event ${miss.event}, TTIs ${miss.start} to ${miss.last}` : `no missed event ${isNext ? "after" : "before"} TTI ${page.tti}`;
 }
 
 export function startEvents() {

@@ -62,6 +62,7 @@ async function show(tti) {
 }
 
 function chooseTti(tti) {
+  byId("miss-note").textContent = "";
   page.follows = false;
   return report(show(tti));
 }
@@ -108,6 +109,7 @@ function receiveOther() {
 }
 
 function follow() {
+  byId("miss-note").textContent = "";
   page.follows = true;
   timelinePanel.change((view) => { view.follows = true; });
   receive(page.now);

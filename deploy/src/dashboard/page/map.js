@@ -5,6 +5,8 @@ import { DeviceLayer } from "./map_devices.js";
 import { ink, prepareCanvas } from "./theme.js";
 
 const EDGE = 10;
+// Pixels below the area, for the scale bar.
+const FOOT = 28;
 
 export class DeviceMap {
   constructor(canvas, run) {
@@ -17,12 +19,12 @@ export class DeviceMap {
 
   // Pixels of a metre.
   perMetre(width, height) {
-    return Math.min((width - 2 * EDGE) / this.run.area[0], (height - 2 * EDGE) / this.run.area[1]);
+    return Math.min((width - 2 * EDGE) / this.run.area[0], (height - EDGE - FOOT) / this.run.area[1]);
   }
 
   place({ x, y }, width, height) {
-    const [w, h] = this.run.area;
-    return [EDGE + (x / w) * (width - 2 * EDGE), height - EDGE - (y / h) * (height - 2 * EDGE)];
+    const perMetre = this.perMetre(width, height), left = (width - this.run.area[0] * perMetre) / 2;
+    return [left + x * perMetre, height - FOOT - y * perMetre];
   }
 
   // The device nearest to a pointer.

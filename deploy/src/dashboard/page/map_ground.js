@@ -65,12 +65,12 @@ export class MapGround {
     return centres;
   }
 
-  // Numbers of many clusters would cover each other.
+  // Numbers of many clusters would cover each other and the devices.
   paintClusterNumbers(draw, width, height) {
     this.centres ??= this.findCentres();
-    const { centres } = this, size = Math.min(18, width / 2.6 / Math.sqrt(centres.size));
-    if (size < 15) return;
-    draw.font = `600 ${size}px system-ui, sans-serif`;
+    const { centres } = this;
+    if (width / Math.sqrt(centres.size) < 60) return;
+    draw.font = "600 13px system-ui, sans-serif";
     draw.textAlign = "center";
     draw.textBaseline = "middle";
     for (const [group, { x, y, count }] of centres) {
@@ -78,17 +78,17 @@ export class MapGround {
       draw.lineWidth = 3;
       draw.strokeStyle = ink("--field");
       draw.strokeText(group, ...at);
-      draw.fillStyle = ink("--faint");
+      draw.fillStyle = ink("--ink");
       draw.fillText(group, ...at);
     }
   }
 }
 
-// A bar of a round length in metres at the lower left.
+// A bar of a round length in metres below the area.
 export function paintScaleBar(draw, map, width, height) {
   const metres = map.run.area[0], perMetre = map.perMetre(width, height);
   const length = ticks(0, metres, 4).find((value) => value > 0) ?? metres;
-  const x = 16, y = height - 16, text = `${length} m`;
+  const x = 16, y = height - 6, text = `${length} m`;
   draw.font = "600 12px system-ui, sans-serif";
   draw.textAlign = "left";
   draw.textBaseline = "bottom";
@@ -97,12 +97,8 @@ export function paintScaleBar(draw, map, width, height) {
   draw.lineTo(x, y);
   draw.lineTo(x + length * perMetre, y);
   draw.lineTo(x + length * perMetre, y - 5);
-  // A halo instead of a box, which would hide devices.
-  for (const [colour, wide] of [["--field", 5], ["--ink", 1.5]]) {
-    draw.strokeStyle = draw.fillStyle = ink(colour);
-    draw.lineWidth = wide;
-    draw.stroke();
-    if (wide > 2) draw.strokeText(text, x + 5, y - 3);
-    else draw.fillText(text, x + 5, y - 3);
-  }
+  draw.strokeStyle = draw.fillStyle = ink("--ink");
+  draw.lineWidth = 1.5;
+  draw.stroke();
+  draw.fillText(text, x + 5, y - 2);
 }

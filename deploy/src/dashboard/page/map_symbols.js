@@ -31,7 +31,8 @@ const TRIANGLE = [[0, -1.6], [1.45, 1], [-1.45, 1]];
 const DIAMOND = [[0, -1.7], [1.7, 0], [0, 1.7], [-1.7, 0]];
 
 export function drawSymbol(draw, symbol, x, y, size, fill) {
-  draw.fillStyle = fill;
+  // Hollow without power: the battery is about empty, and starved parts of the map are seen at a glance.
+  draw.fillStyle = symbol === "unpowered" ? ink("--field") : fill;
   draw.strokeStyle = ink("--ink");
   // A full line would leave little of a small symbol.
   draw.lineWidth = size < 3 ? 0.5 : 1;
@@ -50,7 +51,8 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
     draw.lineWidth = size < 3 ? 1.5 : 2.5;
   }
   draw.fill();
-  draw.stroke();
+  // An outline would hide the battery of a small symbol.
+  if (size >= 3 || symbol !== "asleep") draw.stroke();
   if (symbol !== "unpowered" && symbol !== "failed" && symbol !== "out") return;
   draw.beginPath();
   // A failed device is crossed upright, so that its mark differs from lack of energy in shape too.

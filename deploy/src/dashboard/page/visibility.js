@@ -3,7 +3,11 @@
 const known = new WeakMap();
 
 const sizes = new ResizeObserver((entries) => {
-  for (const { target, contentRect } of entries) Object.assign(stateOf(target), { width: contentRect.width, height: contentRect.height });
+  for (const { target, contentRect: { width, height } } of entries) {
+    const state = stateOf(target), hasChanged = state.width !== width || state.height !== height;
+    Object.assign(state, { width, height });
+    if (hasChanged && state.isVisible) state.onAppear?.();
+  }
 });
 const places = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) {
@@ -25,7 +29,7 @@ function stateOf(element) {
 export const sizeOf = (element) => stateOf(element);
 export const isVisible = (element) => stateOf(element).isVisible;
 
-// Calls `act` when the element comes onto the screen.
+// Calls `act` when the element comes onto the screen, and when its size has changed there.
 export function onAppear(element, act) {
   stateOf(element).onAppear = act;
 }
