@@ -170,7 +170,7 @@ impl ServerState {
         }
     }
 
-    /// Removes the lost host with this assignment for good. The run loop then removes its devices from the session: see
+    /// Removes the lost host with this assignment permanently. The run loop then removes its devices from the session: see
     /// [`ServerState::pending_removals`].
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);

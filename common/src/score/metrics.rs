@@ -1,6 +1,7 @@
 //! The definitions of all metrics, computed from exact integer totals. A new metric is an entry of `metrics!` below:
 //! summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are columns of result tables, so it
-//! also needs a name in [`Metrics::ADDED_LATER`] and a higher `TABLE_VERSION` (`lab/src/table/error.rs`). The test
+//! also needs a name in [`Metrics::ADDED_LATER`] a higher `TABLE_VERSION` (`lab/src/table/error.rs`)
+//! and a new `FORMAT` of journals (`lab/src/sweep/journal/`). The test
 //! `tests/tests/reference.rs` computes every metric a second time, `tests/recompute/recompute.py` most of them. A
 //! renamed metric needs an entry in `FORMER_NAMES`.
 

@@ -26,8 +26,7 @@ use crate::supervisor::{Supervisor, SupervisorConfig};
 
 /// Default number of device processes.
 const DEFAULT_PROCESSES: u32 = 4;
-/// Time for all device processes to join; `scaled_timeout` extends it for many. Also the time that devices in this
-/// process wait for a base station.
+/// Time for all device processes to join; `scaled_timeout` extends it for many.
 const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Runs the base station and the devices on this machine. The device processes get the `log_options`.

@@ -51,8 +51,13 @@ impl TableMetadata {
             });
         }
         let text_or_empty = |key: &str| value_of(key).unwrap_or_default().to_owned();
+        let mut version = text_or_empty(REVEILLE_VERSION_KEY);
+        // Rows of an older table can lack metrics, so they count as rows of another version.
+        if table_version != TABLE_VERSION.to_string() {
+            version = format!("{version}, with tables of version {table_version}");
+        }
         Ok(Self {
-            version: text_or_empty(REVEILLE_VERSION_KEY),
+            version,
             experiment: text_or_empty(EXPERIMENT_KEY),
             grid_hash: text_or_empty(GRID_KEY),
             shard: value_of(SHARD_KEY).map(str::to_owned),

@@ -75,7 +75,7 @@ fn ways_to_sense_less(policy: &str) -> Vec<&'static str> {
         "random" => vec!["choose policy age-index", "lengthen policy.random.t_drx"],
         "age-index" => vec!["raise policy.age-index.price"],
         "dt" => vec!["raise policy.dt.price"],
-        _ => vec!["choose policy age-index with a high policy.age-index.price"],
+        _ => vec!["choose policy age-index, with a policy.age-index.price from its default up"],
     }
 }
 
@@ -90,7 +90,7 @@ struct WeakestClass<'s> {
 }
 
 impl<'s> WeakestClass<'s> {
-    /// Returns the weakest class of `scenario`; `None` if no class has devices.
+    /// Returns the weakest class of `scenario`.
     fn new(scenario: &'s Scenario) -> Self {
         let classes = EnergyBalance::new(scenario).classes;
         let is_one_of_several = classes.len() > 1;
@@ -132,39 +132,36 @@ impl<'s> WeakestClass<'s> {
         }
     }
 
-    /// Lists which values of a field pay for sleeping and for sensing in every TTI, unless the harvest does so already.
-    /// `value_for` returns the value at which the harvest equals a consumption in units per TTI; `None` if no value
-    /// suffices.
-    fn sufficient_values(&self, value_for: impl Fn(f64) -> Option<f64>) -> Vec<String> {
-        let costs = [
-            (self.balance.sleeping_cost, "sleeping"),
-            (self.balance.sensing_cost, "sensing in every TTI"),
-        ];
-        let unpaid = costs.into_iter().filter(|(cost, _)| *cost > self.balance.harvest.mean);
-        unpaid
-            .filter_map(|(cost, action)| Some((value_for(cost)?, action)))
-            .map(|(value, action)| format!("{} pays for {action}", format_significant(value, 3)))
-            .collect()
+    /// Completes `change` with the value of its field at which the harvest pays for sensing in every TTI, if it does not
+    /// do so already and some value does. `value_for` returns the value at which the harvest equals a consumption in
+    /// units per TTI; `None` if no value suffices.
+    fn with_sufficient_value(&self, change: String, value_for: impl Fn(f64) -> Option<f64>) -> String {
+        let (cost, mean) = (self.balance.sensing_cost, self.balance.harvest.mean);
+        match value_for(cost).filter(|_| cost > mean) {
+            Some(value) => format!(
+                "{change}: {} pays for sensing in every TTI",
+                format_significant(value, 3)
+            ),
+            None => change,
+        }
     }
 
     /// Returns the changes that give the devices more energy. A larger battery is among them only if batteries
     /// overflowed.
     fn ways_to_harvest_more(&self, energy: Option<RunEnergy>) -> Vec<String> {
-        let with_values = |change: String, values: Vec<String>| {
-            if values.is_empty() {
-                change
-            } else {
-                format!("{change}: {}", values.join(", "))
-            }
-        };
         let mean = self.balance.harvest.mean;
         // A device that harvests nothing in this run has no amount to scale.
         let factor_for = |cost: f64| (mean > 0.0).then(|| cost / mean);
         let mut changes = Vec::new();
+        let battery = energy.filter(|energy| energy.overflow_per_device_tti > 0.0);
+        let battery = battery.map(|_| "raise energy.e_max".to_owned());
+        // In a gap such as a night, only the battery helps.
+        let is_gap_first = self.balance.longest_gap.is_some();
+        changes.extend(battery.clone().filter(|_| is_gap_first));
         if let Harvest::Trace(_) = self.class.harvest {
-            changes.push(with_values(
+            changes.push(self.with_sufficient_value(
                 "raise harvest.trace.scale (the panel's area_cm2 with irradiance) by a factor".to_owned(),
-                self.sufficient_values(factor_for),
+                factor_for,
             ));
         } else {
             // Every source except a trace has the field `harvest.e_b`, which `max_per_tti` returns.
@@ -175,27 +172,16 @@ impl<'s> WeakestClass<'s> {
             {
                 let lambda_for =
                     |cost: f64| Some(lambdas_with_positive_net(LambdaReading::Eq5, e_b, cost, self.tau)?.0);
-                let values = self.sufficient_values(lambda_for);
-                if self.can_sleep() || !values.is_empty() {
+                // Without enough energy to sleep, a λ that pays for little more leaves devices unable to sense.
+                if self.can_sleep() || lambda_for(self.balance.sensing_cost).is_some() {
                     let change = format!("raise harvest.lambda = {}", format_significant(lambda, 3));
-                    changes.push(with_values(change, values));
+                    changes.push(self.with_sufficient_value(change, lambda_for));
                 }
             }
-            changes.push(with_values(
-                format!("raise harvest.e_b = {}", format_significant(e_b, 3)),
-                self.sufficient_values(|cost| Some(e_b * factor_for(cost)?)),
-            ));
+            let change = format!("raise harvest.e_b = {}", format_significant(e_b, 3));
+            changes.push(self.with_sufficient_value(change, |cost| Some(e_b * factor_for(cost)?)));
         }
-        if !self.can_sleep() && mean > 0.0 {
-            changes.push(format!(
-                "lower energy.e_wur = {} below {}",
-                format_significant(self.class.energy.e_wur.units(), 3),
-                format_significant(mean, 3)
-            ));
-        }
-        if energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0) {
-            changes.push("raise energy.e_max".to_owned());
-        }
+        changes.extend(battery.filter(|_| !is_gap_first));
         changes
     }
 
@@ -211,12 +197,12 @@ impl<'s> WeakestClass<'s> {
     }
 }
 
-/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
+/// Returns the advice against `cause`, which explains `count` of `missed` events, `near` of them near `place`.
 pub(super) fn advise(
     scenario: &Scenario,
     cause: MissCause,
     (count, missed): (u64, usize),
-    place: Point,
+    (near, place): (usize, Point),
     energy: Option<RunEnergy>,
 ) -> Advice {
     let (finding, background, suggestions) = explain(scenario, cause, energy);
@@ -224,7 +210,7 @@ pub(super) fn advise(
     let background = background.map_or_else(String::new, |text| format!(" {text}"));
     Advice {
         finding: format!(
-            "{count} of {missed} missed events {verb} {finding}, most near x = {:.1} m, y = {:.1} m.{background}",
+            "{count} of {missed} missed events {verb} {finding}, {near} of them near x = {:.1} m, y = {:.1} m.{background}",
             place.x, place.y
         ),
         suggestions,

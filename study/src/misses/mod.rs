@@ -243,8 +243,8 @@ impl Misses {
         Some(advice::advise(&self.scenario, cause, counts, place, self.energy))
     }
 
-    /// Returns the mean place of the events of `cause`, which must occur, in the cell with most of them.
-    fn hot_spot(&self, cause: MissCause) -> Point {
+    /// Returns the number and the mean place of the events of `cause`, which must occur, in the cell with most of them.
+    fn hot_spot(&self, cause: MissCause) -> (usize, Point) {
         let grid = self.grid();
         let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
         let places: Vec<Point> = of_cause.map(|event| event.epicentre).collect();
@@ -259,7 +259,10 @@ impl Misses {
         let mean = |coordinate: fn(&Point) -> f64| {
             in_fullest.iter().map(|place| coordinate(place)).sum::<f64>() / in_fullest.len() as f64
         };
-        Point::new(mean(|place| place.x), mean(|place| place.y))
+        (
+            in_fullest.len(),
+            Point::new(mean(|place| place.x), mean(|place| place.y)),
+        )
     }
 }
 

@@ -217,7 +217,7 @@ fn change_cell(first: f64, other: f64) -> String {
         return String::new();
     }
     let share = 100.0 * change / first.abs();
-    if share.is_finite() && share.abs() < 1000.0 {
+    if share.is_finite() && (0.5..1000.0).contains(&share.abs()) {
         format!("{} ({share:+.0} %)", format_signed(change))
     } else {
         format_signed(change)

@@ -170,7 +170,7 @@ fn format_advice(advice: &Advice) -> String {
     text += if advice.suggestions.len() == 1 {
         "Suggestion:\n"
     } else {
-        "Suggestions, any one of:\n"
+        "Suggestions, to try one at a time:\n"
     };
     for suggestion in &advice.suggestions {
         let lines = wrap_text(suggestion, WIDTH - 4).replace('\n', "\n    ");
@@ -315,7 +315,7 @@ mod tests {
         };
         assert_eq!(
             format_advice(&advice(&["lower sensing.eta", "raise devices"])),
-            "3 of 7 missed events were not detected.\nSuggestions, any one of:\n  - lower sensing.eta\n  \
+            "3 of 7 missed events were not detected.\nSuggestions, to try one at a time:\n  - lower sensing.eta\n  \
              - raise devices\n"
         );
         let one = format_advice(&advice(&[&"word ".repeat(30)]));

@@ -47,16 +47,18 @@ pub(crate) fn open_recording(path: &Path) -> anyhow::Result<RecordingFile> {
 }
 
 /// Returns the options of `reveille run` that repeat the run in `folder`, with its external inputs.
-fn repeating_options(folder: &Path) -> anyhow::Result<String> {
-    let run = RunReader::open(folder)?;
+fn repeating_options(folder: &Path) -> String {
+    let run = RunReader::open(folder);
+    let is_external = run.is_ok_and(|run| outside::is_external(&run.scenario.policy));
+    let has_log = folder.join(INPUT_LOG_FILE).exists();
     let folder = folder.display();
-    Ok(if outside::is_external(&run.scenario.policy) {
+    if is_external {
         format!("--policy replay={folder}")
-    } else if run.path().join(INPUT_LOG_FILE).exists() {
+    } else if has_log {
         format!("--scenario {folder}/{SCENARIO_FILE} --input-log {folder}/{INPUT_LOG_FILE}")
     } else {
         format!("--scenario {folder}/{SCENARIO_FILE}")
-    })
+    }
 }
 
 /// Returns `path`, or for a folder the only recording in it.
@@ -86,7 +88,7 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
         ([], true) => bail!(
             "{folder}: the folder holds no recording; create one with `reveille run {} --record \
              {folder}/run.{RECORDING_EXTENSION}`",
-            repeating_options(path)?
+            repeating_options(path)
         ),
         ([first, ..], _) => bail!(
             "{folder}: the folder holds {} recordings; name one of them, such as {}",

@@ -60,10 +60,15 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     source.report_position();
     let result = printer.print(&mut source).await;
     note!("{}", source.closing_line(printer.printed_lines));
-    if printer.printed_lines == 0 && args.since.is_some() {
+    let has_only_ttis = printer.filter
+        == Filter {
+            ttis: printer.filter.ttis.clone(),
+            ..Filter::default()
+        };
+    if printer.printed_lines == 0 && result.is_ok() && has_only_ttis && args.since.is_some_and(|since| since > 0) {
         note!(
-            "the messages of a grant have its first TTI, and a grant can cover many TTIs; choose an earlier --since, \
-             or run with --no-lookahead"
+            "no message has these TTIs: the run can be shorter, or a grant can cover them, whose messages have its first \
+             TTI; choose an earlier --since, or run with --no-lookahead"
         );
     }
     source.close().await;

@@ -7,7 +7,7 @@ const headers = token ? { "x-reveille-token": token } : {};
 
 async function request(path, method) {
   const answer = await fetch(path, { headers, method }).catch(() => {
-    throw new Error("the program that served this page has ended; record runs with --record to look back later");
+    throw new Error("the program that served this page has ended; start a run with --hold, or record it with --record, to look back");
   });
   if (answer.ok) return answer;
   const isJson = answer.headers.get("content-type")?.startsWith("application/json");

@@ -67,6 +67,10 @@ export function startClock() {
   byId("pause").onclick = pauseOrResume;
   byId("step").onclick = () => command("step?n=1");
   byId("run-to").onclick = () => command(`run-to?n=${+byId("target").value || 0}`);
-  byId("set-pace").onclick = () => command(`pace?n=${Math.round(1000 * byId("pace").value)}`);
+  byId("set-pace").onclick = () => {
+    // Shows the pace as set, also if it equals the one before.
+    shownPace = undefined;
+    command(`pace?n=${Math.round(1000 * byId("pace").value)}`);
+  };
   return poll();
 }

@@ -93,9 +93,10 @@ function receiveLive(now) {
   const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (isCalm && !now.over && performance.now() < receivedAt + CALM_INTERVAL) return;
   receivedAt = performance.now();
+  const wasOver = page.now.over;
   receive(now);
-  // The program ends soon after the run: read the curves and the device a last time at once.
-  if (now.over) refreshOften();
+  // The program ends soon after the run: reads the curves and the device a last time.
+  if (now.over && !wasOver) refreshOften();
 }
 
 // One request at a time, since updates can come faster than answers.

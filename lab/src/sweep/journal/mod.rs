@@ -22,7 +22,7 @@ pub use io::Journal;
 /// The first word of a journal.
 const MAGIC: &str = "reveille-journal ";
 /// The version of the format, the second word.
-const FORMAT: &str = "2";
+const FORMAT: &str = "3";
 /// The number of bytes in which [`Journal::read_seed_count`] expects the first line.
 pub(super) const MAX_HEADER_BYTES: u64 = 1024;
 

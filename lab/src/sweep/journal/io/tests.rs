@@ -166,14 +166,14 @@ fn another_sweep_and_a_second_process_are_refused() {
     drop(first);
     let message = Journal::open(&file.0, "you", 3, 5).expect_err("another");
     assert!(message.contains("another experiment"), "{message}");
-    // The texts repeat `FORMAT`, which is 2.
+    // The texts repeat `FORMAT`, which is 3.
     for text in [
         "letters\n",
         "my precious notes",
-        "reveille-journal 2 you",
-        "reveille-journal 2 me too",
-        "reveille-journal 2 me 5 6\n",
-        "reveille-journal 2 me\n",
+        "reveille-journal 3 you",
+        "reveille-journal 3 me too",
+        "reveille-journal 3 me 5 6\n",
+        "reveille-journal 3 me\n",
         "reveille-journal 1 me 5\n",
         "r\n",
     ] {
