@@ -170,8 +170,8 @@ impl ServerState {
         }
     }
 
-    /// Removes the lost host with this assignment permanently. The run loop then removes its devices from the session: see
-    /// [`ServerState::pending_removals`].
+    /// Removes the lost host with this assignment permanently. The run loop then removes its devices from the session:
+    /// see [`ServerState::pending_removals`].
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);
         self.admission.revoke(assignment.host);

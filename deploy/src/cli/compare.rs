@@ -1,5 +1,5 @@
-//! Options of `reveille compare`, which `commands/compare/` executes. The help of `--metric` repeats `DEFAULT_METRICS` of
-//! `commands/compare/sweep.rs`. Names of options are a public interface (see `cli`).
+//! Options of `reveille compare`, which `commands/compare/` executes. The help of `--metric` repeats `DEFAULT_METRICS`
+//! of `commands/compare/sweep.rs`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

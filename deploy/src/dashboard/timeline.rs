@@ -2,8 +2,9 @@
 //!
 //! An answer has a header of four little-endian numbers: the first TTI and the end of the TTIs that it covers (64 bits
 //! each), the number of columns and the number of rows (32 bits each). Three planes of bytes follow, row by row: the
-//! flags of each column, 255 times the share of its TTIs in S1, and the battery at its end. A column covers `step` TTIs;
-//! the first and the last one can have fewer. The first TTI is the requested one; the cells of TTIs that are not available stay 0.
+//! flags of each column, 255 times the share of its TTIs in S1, and the battery at its end. A column covers `step`
+//! TTIs; the first and the last one can have fewer. The first TTI is the requested one; the cells of TTIs that are not
+//! available stay 0.
 
 use std::sync::{Mutex, PoisonError};
 

@@ -132,9 +132,9 @@ impl<'s> WeakestClass<'s> {
         }
     }
 
-    /// Completes `change` with the value of its field at which the harvest pays for sensing in every TTI, if it does not
-    /// do so already and some value does. `value_for` returns the value at which the harvest equals a consumption in
-    /// units per TTI; `None` if no value suffices.
+    /// Completes `change` with the value of its field at which the harvest pays for sensing in every TTI, if it does
+    /// not do so already and some value does. `value_for` returns the value at which the harvest equals a consumption
+    /// in units per TTI; `None` if no value suffices.
     fn with_sufficient_value(&self, change: String, value_for: impl Fn(f64) -> Option<f64>) -> String {
         let (cost, mean) = (self.balance.sensing_cost, self.balance.harvest.mean);
         match value_for(cost).filter(|_| cost > mean) {
@@ -210,7 +210,8 @@ pub(super) fn advise(
     let background = background.map_or_else(String::new, |text| format!(" {text}"));
     Advice {
         finding: format!(
-            "{count} of {missed} missed events {verb} {finding}, {near} of them near x = {:.1} m, y = {:.1} m.{background}",
+            "{count} of {missed} missed events {verb} {finding}, {near} of them near x = {:.1} m, y = {:.1} \
+             m.{background}",
             place.x, place.y
         ),
         suggestions,

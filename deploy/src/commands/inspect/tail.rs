@@ -67,8 +67,8 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
         };
     if printer.printed_lines == 0 && result.is_ok() && has_only_ttis && args.since.is_some_and(|since| since > 0) {
         note!(
-            "no message has these TTIs: the run can be shorter, or a grant can cover them, whose messages have its first \
-             TTI; choose an earlier --since, or run with --no-lookahead"
+            "no message has these TTIs: the run can be shorter, or a grant can cover them, whose messages have its \
+             first TTI; choose an earlier --since, or run with --no-lookahead"
         );
     }
     source.close().await;

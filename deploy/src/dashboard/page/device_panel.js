@@ -42,7 +42,7 @@ export async function showDevice() {
   byId("one-title").textContent = `Device ${device}`;
   byId("one-facts").textContent = `${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m`;
   byId("chosen-facts").textContent = `Device ${device}: ${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass}`;
-  byId("show-one").onclick = () => byId("one").scrollIntoView({ behavior: "smooth" });
+  byId("show-one").onclick = () => byId("one").scrollIntoView();
   if (run.controls) showActions(now.states[device]);
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
