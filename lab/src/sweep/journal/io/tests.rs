@@ -180,8 +180,8 @@ fn another_sweep_and_a_second_process_are_refused() {
         fs::write(&file.0, text).expect("written");
         let message = Journal::open(&file.0, "me", 3, 5).expect_err("no journal");
         let cause = match text.strip_prefix("reveille-journal ").map(|format| &format[..1]) {
-            Some("2") => "another experiment",
-            Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 2",
+            Some("3") => "another experiment",
+            Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 3",
             None => "damaged first line",
         };
         assert!(message.contains(cause), "{text}: {message}");
