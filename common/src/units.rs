@@ -2,8 +2,8 @@
 //!
 //! The paper counts energy in "units" (Table II: a transmission costs 10). Batteries, costs and harvests are stored as
 //! whole micro-units, so that sums do not depend on the order of addition. `scenario/validate.rs` rejects scenarios
-//! whose sums might not fit in 64 bits. A sum that overflows and a difference below 0 panic in every build and never
-//! wrap. Messages, digests and `totals` in `summary.json` hold micro-units.
+//! with sums that might not fit in 64 bits. A sum that overflows and a difference below 0 panic in every build and
+//! never wrap. Messages, digests and `totals` in `summary.json` hold micro-units.
 
 use std::fmt;
 use std::iter::Sum;

@@ -8,8 +8,8 @@ use std::fmt::Write as _;
 use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
 
-/// Thirty devices, and enough TTIs for reports, failures and wake-ups. [`COMMANDS`], [`digest_of_two_hosts`] and texts
-/// of the tests repeat both numbers.
+/// Thirty devices, and enough TTIs for reports, failures and wake-ups. [`COMMANDS`], [`digest_of_two_hosts`] and the
+/// tests' texts repeat both numbers.
 const SMALL: &str = "-n 30 -k 400";
 
 /// Commands that must have the same digest. One occurs twice, since processes are scheduled differently each time.

@@ -103,8 +103,8 @@ impl Declaration {
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
-    /// Returns today's path of the field at the dotted path `path` from the top level, which may end in a former name
-    /// of the field. The result for a path into the list is the path itself.
+    /// Returns today's path of the field at the dotted path `path` from the top level. `path` may end in a former
+    /// name of the field. A path into the list stays as it is.
     pub fn current_path(&self, path: &str) -> String {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         let renamed = self.field_by_former_name(Scope::Top, section, name);

@@ -10,8 +10,8 @@ use super::field::{Field, FieldDefault, FieldType, Section, energy_range};
 use super::join_path;
 use super::toml_page::format_toml;
 
-/// Returns the page: `head` (`bs/src/scenario/head.md`), a table for each section, the words of choices, and the values
-/// of each preset.
+/// Returns the page: `head` (`bs/src/scenario/head.md`), a table for each section, the words of choices, and each
+/// preset with its values.
 pub fn reference_page(declaration: &Declaration, head: &str) -> String {
     let mut page = format!("{}\n", head.trim_end());
     for header in declaration.headers() {

@@ -245,8 +245,8 @@ impl HarvestSetup {
         micro_per_tti / MICRO_PER_UNIT as f64
     }
 
-    /// The longest gap in the first `ttis` TTIs of a run; `None` for sources whose energy can arrive in any TTI. Exact
-    /// for a trace; of a diurnal source the longest night.
+    /// The longest gap in the first `ttis` TTIs of a run: rows without energy in a trace, or the longest night of a
+    /// diurnal source. `None` for sources whose energy can arrive in any TTI.
     pub fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Option<HarvestGap> {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => None,

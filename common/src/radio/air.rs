@@ -69,8 +69,8 @@ impl Air {
     }
 
     /// Delivers a plan that is sent in TTI `sent` to the `device_count` devices from `first` on. Calls `receive` with
-    /// the position and the duty cycle of each device that receives it; the others keep their plan. Returns the number
-    /// of devices that miss it. `sent` must not decrease between calls, nor between calls of [`Self::losses_at`].
+    /// the position and the duty cycle of each device that receives it; the others keep their plan. Returns how many
+    /// devices miss it. `sent` must not decrease between calls, nor between calls of [`Self::losses_at`].
     pub fn deliver_plan(
         &mut self,
         sent: Tti,

@@ -4,9 +4,9 @@
 //! SHA-256 over the run's history, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the δ
 //! plan, removals and actions of operators. Each device's ledger by id and the totals behind the metrics follow. The
 //! digest holds no data per TTI, so that a driver may skip quiet TTIs. It does not depend on the encoding of messages:
-//! fields are hashed in words of 64 bits, except the bits of a plan. Each kind of record has its tag, which no other
-//! kind may have. A change of the hashed data, its order or a tag raises [`DIGEST_VERSION`], and
-//! `tests/digests/check.py --record` renews the recorded digests. `docs/design.md` lists what the digest covers.
+//! every field is hashed as 64 bits, except the bits of a plan. Each kind of record has a tag, which no other kind may
+//! have. A change of the hashed data, the order or a tag raises [`DIGEST_VERSION`], and
+//! `tests/digests/check.py --record` renews the recorded digests. `docs/design.md` lists the hashed data.
 
 use std::fmt;
 

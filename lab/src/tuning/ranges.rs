@@ -106,8 +106,8 @@ impl Ranges {
         self.distance_to_closest(pair, known_pairs) <= SAME_PAIR_DISTANCE
     }
 
-    /// Returns a pair far from all of `known_pairs`, drawn from the stream `point_number` of `seed`. That is the number
-    /// of the point in the history, above 0, because [`design`] draws from stream 0.
+    /// Returns a pair far from all of `known_pairs`, drawn from the stream `point_number` of `seed`, the point's number
+    /// in the history. It is above 0, because [`design`] draws from stream 0.
     pub fn draw_farthest(&self, known_pairs: &[WeightPair], seed: u64, point_number: u64) -> WeightPair {
         let mut stream = Stream::new(seed, Purpose::Tuning, point_number);
         let candidates = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));

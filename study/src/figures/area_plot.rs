@@ -128,8 +128,8 @@ impl Legend {
     }
 }
 
-/// Draws `scene.description`, set before, from the base line `y` on, and ends the canvas below it. It is the last part
-/// of a figure.
+/// Draws `scene.description`, set before, from the base line `y` on, and ends the canvas below it. Call it last in a
+/// figure.
 pub fn draw_caption(scene: &mut Scene, mut y: f64) {
     for line in wrap_text(
         &scene.description.clone(),

@@ -32,8 +32,8 @@ pub struct LabelledTable {
     pub metadata: TableMetadata,
     /// Number of runs.
     pub run_count: usize,
-    /// Name of the series of the first run in this table alone, by default the reference of `reveille compare`. `None`
-    /// for an empty table.
+    /// Name of the series of the first run in this table alone, by default the reference of `reveille compare`. An
+    /// empty table has `None`.
     pub first_series: Option<String>,
     /// SHA-256 over the digests of the runs, in table order, hexadecimal.
     pub digest_hash: String,

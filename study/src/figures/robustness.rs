@@ -1,7 +1,7 @@
 //! Robustness to an imperfect radio: information, energy and missed events against the failure rate of one radio
 //! function, while all others work. `reveille figures robustness` draws it. This module makes the runs; it reads no
-//! tables. The names of [`IMPAIRMENTS`] are fields of `radio` in scenarios, values of `--only` and cells of the CSV,
-//! whose columns are a file format. A new field of [`RadioSettings`] is not drawn without an entry there.
+//! tables. The names of [`IMPAIRMENTS`] are fields of `radio` in scenarios, values of `--only` and cells of the CSV.
+//! Its columns are a file format. A new field of [`RadioSettings`] is not drawn without an entry there.
 
 use std::fmt::Write as _;
 

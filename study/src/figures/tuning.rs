@@ -345,8 +345,8 @@ fn draw_pair_mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     }
 }
 
-/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes` if possible. Returns it
-/// with the text's box.
+/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes` if possible. Also
+/// returns the text's box.
 fn free_position(pair_position: (f64, f64), text: &str, taken_boxes: &[Rect]) -> ((f64, f64), Rect) {
     let half_width = 0.5 * text_width(text, Weight::Regular, TEXT_SIZE) + 1.2;
     let candidates = NUMBER_DISTANCES.iter().flat_map(|distance| {

@@ -7,8 +7,8 @@ use crate::claims::{Claim, Statement};
 /// Computes the deviation of `findings` from `claim`: 0 if they are exactly as stated, infinite if it is undefined.
 ///
 /// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
-/// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
-/// of the range of all means. A constant level: half the range divided by the middle. Unlike in the rule of
+/// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, divided by
+/// the range of all means. A constant level: half the range divided by the middle. Unlike in the rule of
 /// [`super::judge()`], these two ranges cover all compared policies together. Deviations are comparable only under the
 /// same claim.
 pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {

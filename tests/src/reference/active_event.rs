@@ -7,7 +7,7 @@ use reveille_common::totals::EventTally;
 use super::detection::Obstacle;
 use super::policy::Reporter;
 
-/// Active event.
+/// An event that lasts, and its sums so far.
 #[derive(Clone, Debug)]
 pub(super) struct ActiveEvent {
     pub(super) epicentre: Point,
