@@ -21,7 +21,8 @@ use reveille_common::deployment::Deployment;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
-    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, WakeOutcome, WakeUp,
+    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, UnableDetectors,
+    WakeOutcome, WakeUp,
 };
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyStreams;
@@ -259,9 +260,6 @@ impl Cycle {
                 || span.stimulus.is_some()
                 || span.last + 1 >= horizon
                 || self.station.needs_external_plan(span.last + 1)
-                // Devices return their states once per grant, at its end, so a longer grant would skip states that an
-                // observer asked for.
-                || observer.wants_states()
             {
                 break span;
             }
@@ -343,7 +341,7 @@ impl Cycle {
         let GrantAnswers {
             reports,
             failures,
-            unpowered,
+            unable,
             views: _,
         } = answers;
         // Answers arrive from the bus in any order. The digest, the score and the station need one order, by device.
@@ -354,7 +352,7 @@ impl Cycle {
             self.score.record_failed_transmission(failure);
             observer.notify(&Notification::ReportFailed { tti, failure });
         }
-        self.score.record_unpowered(unpowered);
+        self.score.record_unable_detectors(unable);
         self.station.take_reports(tti, &reports[..arrived_count]);
         // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
         self.wake_up_count = 0;
@@ -508,8 +506,8 @@ pub struct GrantAnswers<'a> {
     pub reports: &'a mut [Report],
     /// Devices that detected the event and could not transmit, in any order; sorted by the call.
     pub failures: &'a mut [FailedTransmission],
-    /// Number of devices with δ = 1 that would have detected the event, but could not pay for sensing.
-    pub unpowered: u64,
+    /// Devices that would have detected the event, but could not sense.
+    pub unable: UnableDetectors,
     /// States and batteries of all devices at the end of the grant, in the order of ids, if the grant asks for them.
     /// The session keeps them for the policy and the observer; the cycle ignores them.
     pub views: &'a [DeviceView],

@@ -1,5 +1,8 @@
-//! Numbers as text with significant digits, so that small costs and harvests do not appear as zero. Messages, command
-//! output, figures and the committed page `docs/reproduction.md` show the texts, and tests expect them.
+//! Numbers as text with significant digits, so that small costs and harvests do not appear as zero, and numbers with
+//! nouns. Messages, command output, figures and the committed page `docs/reproduction.md` show the texts, and tests
+//! expect them.
+
+use std::fmt::Display;
 
 /// Smallest magnitude that is written without an exponent.
 const MIN_PLAIN: f64 = 1e-9;
@@ -45,6 +48,12 @@ fn trim_zeros(text: &str) -> &str {
     } else {
         text
     }
+}
+
+/// Formats a number with its noun: `1 run`, `2 runs`.
+pub fn count_noun<N: Copy + Display + PartialEq + From<u8>>(number: N, noun: &str) -> String {
+    let plural = if number == N::from(1) { "" } else { "s" };
+    format!("{number} {noun}{plural}")
 }
 
 #[cfg(test)]

@@ -3,8 +3,10 @@
 
 use std::io::IsTerminal;
 
-use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer, Registry};
 
 /// The format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,10 +20,11 @@ pub enum LogFormat {
 
 /// Sends log lines to `writer`, which must end at standard error: standard output carries results. Text has colours if
 /// standard error is a terminal. `RUST_LOG` sets the filter. Without it `verbosity` does: 0 warnings, 1 information, 2
-/// debugging, 3 and above everything, zenoh's own lines included.
-pub fn init<W>(verbosity: u8, format: LogFormat, writer: W)
+/// debugging, 3 and above everything, zenoh's own lines included. `extra` sees events whatever the filter.
+pub fn init<W, L>(verbosity: u8, format: LogFormat, writer: W, extra: Option<L>)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+    L: Layer<Registry> + Send + Sync,
 {
     let default_filter = match verbosity {
         // zenoh logs every lost link as an error; the run reports lost links itself.
@@ -31,10 +34,14 @@ where
         _ => "trace",
     };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
-    // A second call, as in tests, keeps the first subscriber.
-    let _already_set = match format {
-        LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).try_init().is_err(),
-        LogFormat::Json => builder.json().try_init().is_err(),
+    let lines = tracing_subscriber::fmt::layer().with_writer(writer);
+    let lines = match format {
+        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).boxed(),
+        LogFormat::Json => lines.json().boxed(),
     };
+    let subscriber = tracing_subscriber::registry()
+        .with(extra)
+        .with(lines.with_filter(filter));
+    // A second call, as in tests, keeps the first subscriber.
+    let _already_set = subscriber.try_init().is_err();
 }

@@ -57,6 +57,8 @@ pub enum Purpose {
     InterferencePhases = 24,
     /// The random times of scripted actions on a device (keyed by the line of the script and the device).
     Actions = 25,
+    /// Which segments `reveille link` loses (one stream for each direction of a connection). No run draws from it.
+    LinkLoss = 26,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.

@@ -302,8 +302,9 @@ impl Spread {
     }
 }
 
-/// The cause of a missed event: the first condition for a report that no device met.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// The cause of a missed event: the first condition for a report that no device met. Variants are in the order of the
+/// conditions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum MissCause {
     /// No device is within d_max of the epicentre.
     OutOfReach,
@@ -313,6 +314,8 @@ pub enum MissCause {
     Undetected,
     /// The devices that would have detected the event slept throughout it.
     Asleep,
+    /// Devices that would have detected the event had δ = 1, but an operator had failed them.
+    Failed,
     /// Devices that would have detected the event had δ = 1, but none of them could pay for sensing.
     Unpowered,
     /// Devices were woken for the event, as only an oracle can order, and their wake-up radios received nothing: they
@@ -329,11 +332,12 @@ impl MissCause {
     pub const COUNT: usize = Self::ALL.len();
 
     /// All causes, in the order of the conditions.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::OutOfReach,
         Self::Removed,
         Self::Undetected,
         Self::Asleep,
+        Self::Failed,
         Self::Unpowered,
         Self::WakeMissed,
         Self::NoEnergy,
@@ -347,6 +351,7 @@ impl MissCause {
             Self::Removed => "removed",
             Self::Undetected => "undetected",
             Self::Asleep => "asleep",
+            Self::Failed => "failed",
             Self::Unpowered => "unpowered",
             Self::WakeMissed => "wake_missed",
             Self::NoEnergy => "no_energy",
@@ -366,6 +371,7 @@ impl MissCause {
             Self::Removed => "all devices within d_max were removed or failed",
             Self::Undetected => "detection failed for every device within d_max",
             Self::Asleep => "devices within d_max slept by plan",
+            Self::Failed => "an operator had failed the devices with δ = 1",
             Self::Unpowered => "devices told to sense had no power",
             Self::WakeMissed => "no woken device received its wake-up",
             Self::NoEnergy => "devices detected it but could not pay for a report",
@@ -385,6 +391,8 @@ pub struct MissedEvents {
     pub undetected: u64,
     /// [`MissCause::Asleep`].
     pub asleep: u64,
+    /// [`MissCause::Failed`].
+    pub failed: u64,
     /// [`MissCause::Unpowered`].
     pub unpowered: u64,
     /// [`MissCause::WakeMissed`].
@@ -403,6 +411,7 @@ impl MissedEvents {
             MissCause::Removed => self.removed,
             MissCause::Undetected => self.undetected,
             MissCause::Asleep => self.asleep,
+            MissCause::Failed => self.failed,
             MissCause::Unpowered => self.unpowered,
             MissCause::WakeMissed => self.wake_missed,
             MissCause::NoEnergy => self.no_energy,
@@ -417,6 +426,7 @@ impl MissedEvents {
             MissCause::Removed => &mut self.removed,
             MissCause::Undetected => &mut self.undetected,
             MissCause::Asleep => &mut self.asleep,
+            MissCause::Failed => &mut self.failed,
             MissCause::Unpowered => &mut self.unpowered,
             MissCause::WakeMissed => &mut self.wake_missed,
             MissCause::NoEnergy => &mut self.no_energy,

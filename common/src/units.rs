@@ -11,6 +11,8 @@ use std::ops::{Add, AddAssign, Sub, SubAssign};
 
 use serde::{Deserialize, Serialize};
 
+use crate::digits::count_noun;
+
 /// Number of micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
 
@@ -54,6 +56,12 @@ impl Energy {
     /// Returns the amount in units, for display and for metrics.
     pub fn units(self) -> f64 {
         self.0 as f64 / MICRO_PER_UNIT as f64
+    }
+
+    /// Formats the amount in units, exact to the micro-unit, with six decimals.
+    pub fn decimal_units(self) -> String {
+        // In whole numbers: an f64 would round a large energy.
+        format!("{}.{:06}", self.0 / MICRO_PER_UNIT, self.0 % MICRO_PER_UNIT)
     }
 
     /// Returns `self - other`, or zero if `other` is larger.
@@ -133,7 +141,7 @@ impl Sum for Energy {
 
 impl fmt::Display for Energy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} units", self.units())
+        f.write_str(&count_noun(self.units(), "unit"))
     }
 }
 
@@ -144,6 +152,12 @@ mod tests {
     #[test]
     fn one_fourteenth_rounds_to_the_nearest_micro_unit() {
         assert_eq!(Energy::from_units(1.0 / 14.0), Some(Energy::from_micro(71_429)));
+    }
+
+    #[test]
+    fn decimal_units_are_exact_to_the_micro_unit() {
+        let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| Energy::from_micro(micro).decimal_units());
+        assert_eq!(texts, ["0.000000", "0.000001", "0.999999", "1.000000", "12345.678901"]);
     }
 
     #[test]

@@ -144,25 +144,49 @@ pub(crate) fn spawn(arguments: &[String], run_key: Option<Secret>, threads: Zeno
         .spawn()?)
 }
 
-/// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh takes the number
-/// from the environment only, and changing the environment of a running process needs unsafe code. Returns if no
-/// restart is needed or the restart fails. Call it before any runtime or session: it replaces the process.
+/// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. Returns if no restart is
+/// needed or the restart fails. Call it before any runtime or session: it replaces the process.
 pub(crate) fn restart_with_one_zenoh_thread() {
-    if has_thread_setting() {
-        return;
+    if !has_thread_setting() {
+        let error = replace_process();
+        tracing::debug!(%error, "cannot restart with one zenoh thread; zenoh uses its default number");
     }
+}
+
+/// Restarts this process with one zenoh thread unless it has one already, because TLS needs one
+/// (`common/src/bus/tls.rs`). Call it before any session: it replaces the process.
+///
+/// # Errors
+/// If the restart fails.
+pub(crate) fn ensure_one_zenoh_thread() -> anyhow::Result<()> {
+    if std::env::var_os(ZENOH_THREADS_VARIABLE).is_some_and(|set| set == ONE_ZENOH_THREAD) {
+        return Ok(());
+    }
+    Err(replace_process()).with_context(|| {
+        format!(
+            "TLS needs one zenoh thread, and this process cannot restart; set {ZENOH_THREADS_VARIABLE} to \
+             {ONE_ZENOH_THREAD:?}"
+        )
+    })
+}
+
+/// Replaces this process by one with the same arguments and one zenoh thread; returns the error if that fails. zenoh
+/// takes the number from the environment only, and changing the environment of a running process needs unsafe code.
+fn replace_process() -> std::io::Error {
     // Replaced here, so that the restarted process does not repeat the warnings.
     let (arguments, _) = crate::cli::former::replace_former_names(std::env::args_os());
     let mut arguments = arguments.into_iter();
     let name = arguments.next();
-    let Ok(program) = std::env::current_exe() else { return };
+    let program = match std::env::current_exe() {
+        Ok(program) => program,
+        Err(error) => return error,
+    };
     let mut command = Command::new(&program);
     command.arg0(name.unwrap_or_else(|| program.into_os_string()));
-    let error = command
+    command
         .args(arguments)
         .env(ZENOH_THREADS_VARIABLE, ONE_ZENOH_THREAD)
-        .exec();
-    tracing::debug!(%error, "cannot restart with one zenoh thread; zenoh uses its default number");
+        .exec()
 }
 
 /// Whether the environment sets zenoh's threads. zenoh cannot read an empty setting.

@@ -3,6 +3,7 @@
 //! `tests/program/closed_terminal.rs` waits for `TTIs/s` in the bar of a run.
 
 use std::collections::VecDeque;
+use std::ffi::OsStr;
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use anyhow::Context;
 use indicatif::{HumanDuration, MultiProgress, ProgressBar, ProgressStyle};
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::RunProgress;
+pub(crate) use reveille_common::digits::count_noun;
 use reveille_common::digits::format_significant;
 use reveille_common::units::MICRO_PER_UNIT;
 
@@ -78,10 +80,14 @@ pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
 /// Columns of a line of text for people; results, `compare` and the lists of `--help` keep to it.
 pub(crate) const WIDTH: usize = 80;
 
-/// Formats a number with its noun: `1 run`, `2 runs`.
-pub(crate) fn count_noun(number: usize, noun: &str) -> String {
-    let plural = if number == 1 { "" } else { "s" };
-    format!("{number} {noun}{plural}")
+/// Returns `text` as a word of a shell command: in quotes if it has characters that a shell reads differently.
+pub(crate) fn shell_word(text: impl AsRef<OsStr>) -> String {
+    let text = text.as_ref().to_string_lossy();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-=:,+@%".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        return text.into_owned();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
 }
 
 /// Formats a speed in device-TTIs per second, with at most three significant digits.
@@ -224,7 +230,7 @@ fn run_message(
     match (tti, is_paused, joined) {
         (0, true, _) => return "paused before TTI 0; resume with `reveille clock resume`".to_owned(),
         (0, false, 0) => return "starting".to_owned(),
-        (0, false, _) => return format!("joining: {joined} of {devices} devices"),
+        (0, false, _) => return format!("joining: {joined} of {}", count_noun(devices, "device")),
         _ => {}
     }
     let mut parts = vec![format!("TTI {tti}/{ttis}")];
@@ -258,6 +264,20 @@ fn run_message(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_text_is_quoted_only_if_a_shell_would_split_or_expand_it() {
+        for (text, word) in [
+            ("runs/demo-1.2", "runs/demo-1.2"),
+            ("harvest.lambda=0.1", "harvest.lambda=0.1"),
+            ("policy.random.t_drx=[1,2]", "'policy.random.t_drx=[1,2]'"),
+            ("my demo", "'my demo'"),
+            ("Jo's $x", r"'Jo'\''s $x'"),
+            ("", "''"),
+        ] {
+            assert_eq!(shell_word(text), word);
+        }
+    }
 
     #[test]
     fn a_speed_needs_half_a_second_and_covers_three() {

@@ -11,6 +11,8 @@
 mod action_text;
 mod audit;
 mod bench;
+#[cfg(feature = "tls")]
+mod certificate;
 mod child_process;
 mod cli;
 mod commands;
@@ -41,6 +43,7 @@ mod summary;
 mod supervisor;
 mod table_writer;
 mod terminal;
+mod tls;
 
 use std::process::ExitCode;
 
@@ -49,13 +52,18 @@ use clap::{CommandFactory, Parser};
 use cli::misplaced::explain_misplaced;
 use cli::{Cli, Command};
 use display::note;
+use reveille_common::bus::RefusalLog;
 use runtime::{CLIENT_WORKERS, SERVER_WORKERS, drive};
 
 fn main() -> ExitCode {
     exit::keep_panic_messages();
     let (args, rename_warnings) = cli::former::replace_former_names(std::env::args_os());
     let cli = Cli::try_parse_from(&args).unwrap_or_else(|error| explain_misplaced(error, Cli::command(), &args).exit());
-    reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
+    // Only a base station or router with certificates refuses peers in a way that it can name.
+    let has_certificates = matches!(&cli.command, Command::Bs(args) if args.tls.is_some())
+        || matches!(&cli.command, Command::Router(args) if args.tls.is_some());
+    let refusals = has_certificates.then(RefusalLog::start).and_then(Result::ok);
+    reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter, refusals);
     for warning in rename_warnings {
         tracing::warn!("{warning}");
     }
@@ -72,13 +80,25 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let log_options = cli.log_options();
     match cli.command {
         Command::Scenario(command) => commands::scenario::run(&command),
-        Command::Run(args) => commands::run::run(&args),
+        Command::Run(mut args) => {
+            let inputs = &mut [&mut args.actions.actions, &mut args.input_log];
+            let done = commands::continued_run::resolve(&mut args.scenario, &mut args.output, inputs)?;
+            done.map_or_else(|| commands::run::run(&args), Ok)
+        }
         Command::Sweep(args) => commands::sweep::run(&args),
         Command::Train(command) => commands::train::run(&command),
         Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
-        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log_options)),
-        Command::Bs(args) => drive(SERVER_WORKERS, commands::bs::run(&args)),
+        Command::Up(mut args) => {
+            let inputs = &mut [&mut args.actions.actions];
+            let done = commands::continued_run::resolve(&mut args.scenario, &mut args.output, inputs)?;
+            done.map_or_else(|| drive(SERVER_WORKERS, commands::up::run(&args, &log_options)), Ok)
+        }
+        Command::Bs(mut args) => {
+            let inputs = &mut [&mut args.actions.actions];
+            let done = commands::continued_run::resolve(&mut args.scenario, &mut args.output, inputs)?;
+            done.map_or_else(|| drive(SERVER_WORKERS, commands::bs::run(&args)), Ok)
+        }
         Command::Device(args) => {
             // Before any runtime or session: it replaces this process by one with another environment.
             if !args.untuned {
@@ -86,7 +106,14 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
             }
             drive(CLIENT_WORKERS, commands::device::run(&args))
         }
+        Command::Router(args) => drive(CLIENT_WORKERS, commands::router::run(&args)),
+        Command::Link(args) => drive(CLIENT_WORKERS, commands::link::run(&args)),
+        Command::Testbed(args) => commands::testbed::run(&args),
         Command::PolicyProcess(args) => drive(CLIENT_WORKERS, policy_process::guard(&args.command, args.parent)),
+        #[cfg(feature = "tls")]
+        Command::Tls(command) => commands::tls::run(&command),
+        #[cfg(not(feature = "tls"))]
+        Command::Tls(_) => Err(tls::missing_feature().into()),
         Command::Inspect(command) => drive(CLIENT_WORKERS, commands::inspect::run(&command)),
         Command::Compare(args) => commands::compare::run(&args),
         Command::Dashboard(args) => drive(SERVER_WORKERS, commands::dashboard::run(&args)),

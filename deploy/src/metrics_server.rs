@@ -2,7 +2,7 @@
 //! are in `view/src/metrics.rs`; `run_watchers` starts the server. The dashboard uses the checks of address and host
 //! too. `cli` and `docs/command-line.md` repeat the address in the error text, which is the default of `--metrics`.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -90,7 +90,7 @@ pub(crate) async fn serve(
     let to_listen_error = |error| listen_error("--metrics", address, &error);
     let listener = TcpListener::bind(address).await.map_err(to_listen_error)?;
     let local_address = listener.local_addr().map_err(to_listen_error)?;
-    note!("metrics at http://{local_address}/metrics");
+    note!("metrics at http://{}/metrics", local_target(local_address));
     let state = MetricsState {
         metrics,
         process_stats,
@@ -128,6 +128,17 @@ async fn check_host(State(state): State<MetricsState>, request: Request, next: N
         )
             .into_response()
     }
+}
+
+/// Returns the address under which a program on this machine reaches the listener at `address`: one that listens on all
+/// addresses is reached at the loopback address.
+pub(crate) fn local_target(mut address: SocketAddr) -> SocketAddr {
+    match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+        IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+        IpAddr::V4(_) | IpAddr::V6(_) => {}
+    }
+    address
 }
 
 /// Whether a request for `host`, the value of its Host header, is meant for the listener at `address`. Any name is

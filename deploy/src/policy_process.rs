@@ -12,6 +12,7 @@
 //! them, and `python/reveille/policy_client.py` reads them.
 
 use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,10 +33,12 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::exit::ExitReason;
 use crate::runtime::now;
 use crate::signals::{SignalMode, Signals};
-use crate::{child_process, key};
+use crate::{child_process, key, run_registry};
 
 /// The variable with the base station's endpoint.
 const CONNECT_VARIABLE: &str = "REVEILLE_CONNECT";
+/// The variable with the folder of certificates, if the bus is encrypted.
+const TLS_VARIABLE: &str = "REVEILLE_TLS";
 /// The variable with the run's name.
 const RUN_VARIABLE: &str = "REVEILLE_RUN";
 /// The subcommand that runs the guard: clap's name of `Command::PolicyProcess`.
@@ -58,14 +61,15 @@ pub(crate) struct PolicyProcess {
 }
 
 impl PolicyProcess {
-    /// Starts `command` with the shell, to decide for the run on `bus` that has this `key`. If it ends before the run,
-    /// the cause is set in `progress` and the run stops. Call it from a thread that lives as long as the run.
+    /// Starts `command` with the shell, to decide for the run on `bus` that has this `key`, with the folder `tls` of
+    /// certificates if the bus is encrypted. If it ends before the run, the cause is set in `progress` and the run
+    /// stops. Call it from a thread that lives as long as the run.
     ///
     /// # Errors
     /// If it cannot be started.
     pub(crate) fn start(
         command: &str,
-        bus: &Bus,
+        (bus, tls): (&Bus, Option<&Path>),
         key: Option<Secret>,
         progress: &Arc<RunProgress>,
     ) -> anyhow::Result<Self> {
@@ -73,7 +77,7 @@ impl PolicyProcess {
         let mut guard = Command::new(program);
         guard
             .args([GUARD, "--parent", &std::process::id().to_string(), "--", command])
-            .env(CONNECT_VARIABLE, bus.endpoint())
+            .env(CONNECT_VARIABLE, run_registry::local_endpoint(bus.endpoint()))
             .env(RUN_VARIABLE, bus.key_exprs().run().to_string())
             .stdin(Stdio::null())
             // The run's standard output is for its results only.
@@ -82,6 +86,9 @@ impl PolicyProcess {
             .process_group(0);
         if let Some(key) = key {
             guard.env(key::KEY_VARIABLE, key.to_string());
+        }
+        if let Some(folder) = tls {
+            guard.env(TLS_VARIABLE, std::path::absolute(folder)?);
         }
         let guard = guard.spawn().context("cannot start a process for --policy-command")?;
         let is_over = Arc::new(AtomicBool::new(false));

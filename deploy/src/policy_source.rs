@@ -1,6 +1,7 @@
 //! The source of external decisions in a run over the bus, as the command line selects it: a recorded input log, a
 //! policy process that `reveille` starts, or one that connects to the policy port. Used by `up` and `bs`.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::ensure;
@@ -58,20 +59,21 @@ pub(crate) fn select_policy_source<'a>(
 }
 
 impl PolicySource<'_> {
-    /// Starts the policy command, if any, for the run on `bus` with this `key`. Otherwise prints the address of
+    /// Starts the policy command, if any, for the run on `bus` with this `key`, and with the folder of certificates if
+    /// the bus is encrypted. Otherwise prints the address of
     /// the policy port, if a policy process is needed and the run is not `is_quiet`.
     ///
     /// # Errors
     /// If it cannot be started.
     pub(crate) fn start(
         &self,
-        bus: &Bus,
+        (bus, tls): (&Bus, Option<&Path>),
         key: Option<Secret>,
         progress: &Arc<RunProgress>,
         is_quiet: bool,
     ) -> anyhow::Result<Option<PolicyProcess>> {
         if let Some(command) = self.command {
-            return PolicyProcess::start(command, bus, key, progress).map(Some);
+            return PolicyProcess::start(command, (bus, tls), key, progress).map(Some);
         }
         if self.decision_timeout.is_some() && !is_quiet {
             let (port, endpoint) = (

@@ -9,7 +9,7 @@ use reveille_bs::scenario::Scenario;
 use reveille_view::recording::{self, Recorder, RecorderHandle, ScenarioBundle};
 
 use crate::cli::OutputArgs;
-use crate::display::note;
+use crate::display::{count_noun, note};
 use crate::scenario_files::ScenarioFiles;
 
 /// The recording that `--record` requests, or none.
@@ -68,8 +68,8 @@ impl RunRecording {
             .map_err(|why| anyhow!("--record {}: {why}", path.display()))?;
         if !self.is_quiet {
             note!(
-                "recorded {} messages in {}, {:.1} MB; the run waited {:.2} s for it",
-                recorded.frames,
+                "recorded {} in {}, {:.1} MB; the run waited {:.2} s for it",
+                count_noun(recorded.frames, "message"),
                 path.display(),
                 recorded.bytes as f64 / 1e6,
                 recorded.waited.as_secs_f64()

@@ -8,8 +8,9 @@ use reveille_bs::policy::registry;
 use reveille_common::digits::format_significant;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
-use reveille_common::totals::MissCause;
+use reveille_common::totals::{DeviceTotals, MissCause};
 
+use crate::display::count_noun;
 use crate::summary::{ClassSummary, Summary};
 
 /// The metrics of the results table, in its order: information, missed events and delay, energy and batteries,
@@ -23,14 +24,14 @@ pub(crate) const MAIN_METRICS: [&str; 10] = [
     "energy_per_device_tti",
     "mean_battery",
     "low_energy_pct",
-    "unpowered_pct",
+    "no_power_pct",
     "reports_per_event",
     "wake_ups_per_event",
     "wrong_activations_per_event",
 ];
 
-/// The metric below which the table lists the causes of missed events.
-const MISDETECTION_METRIC: &str = "misdetection_pct";
+/// The metric below which this table and `compare` list the causes of missed events.
+pub(crate) const MISDETECTION_METRIC: &str = "misdetection_pct";
 
 /// Whether a radio has a certain impairment.
 type HasImpairment = fn(&RadioSettings) -> bool;
@@ -74,8 +75,13 @@ pub(crate) enum Rows {
 /// The tests keep lines to 80 columns.
 pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> String {
     let title = format!(
-        "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
-        summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+        "{} · {} · {} of {} · preset {} · seed {}",
+        summary.policy,
+        count_noun(summary.n, "device"),
+        summary.ttis_done,
+        count_noun(summary.ttis, "TTI"),
+        summary.preset,
+        summary.seed
     );
     let mut lines = vec![
         if is_coloured {
@@ -85,16 +91,23 @@ pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: boo
         },
         format_metrics(summary, rows, is_coloured),
         format!(
-            "{} of {} events missed",
-            summary.totals.events.misdetected, summary.totals.events.events
+            "{} of {} missed",
+            summary.totals.events.misdetected,
+            count_noun(summary.totals.events.events, "event")
         ),
     ];
     lines.extend(format_classes(&summary.classes, rows));
     lines.extend(format_facts(summary));
+    if rows == Rows::All {
+        lines.push(format_energy_balance(&summary.totals.energy));
+    }
     lines.push(format_timing(summary));
     if summary.timing.late_ttis > 0 {
         let (late_ttis, max_late_ms) = (summary.timing.late_ttis, summary.timing.max_late_ms);
-        lines.push(format!("{late_ttis} TTIs began late, by at most {max_late_ms:.1} ms"));
+        lines.push(format!(
+            "{} began late, by at most {max_late_ms:.1} ms",
+            count_noun(late_ttis, "TTI")
+        ));
     }
     if summary.metrics.removed_pct > 0.0 {
         lines.push(format!(
@@ -114,7 +127,7 @@ pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: boo
 }
 
 /// Whether `metric` is the share of a cause of missed events.
-fn is_cause(metric: &str) -> bool {
+pub(crate) fn is_cause(metric: &str) -> bool {
     metric.starts_with("missed_")
         && MissCause::ALL
             .iter()
@@ -207,7 +220,7 @@ fn format_classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
     let mut table = Table::new();
     let names = classes
         .iter()
-        .map(|class| format!("{} ({} devices)", class.name, class.n));
+        .map(|class| format!("{} ({})", class.name, count_noun(class.n, "device")));
     table
         .load_style(UTF8_FULL_CONDENSED)
         .set_header(std::iter::once("by class".to_owned()).chain(names));
@@ -238,6 +251,23 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
         .map(|(name, value)| format!("{name} {}", format_number(*value)))
         .collect();
     (!facts.is_empty()).then(|| facts.join(" · "))
+}
+
+/// Formats the measured energy of all devices as an equation, and whether it holds in micro-units.
+fn format_energy_balance(energy: &DeviceTotals) -> String {
+    let DeviceTotals {
+        initial,
+        harvested,
+        overflow,
+        battery,
+        ..
+    } = *energy;
+    let spent = energy.spent.total();
+    let is_exact = initial + harvested == spent + overflow + battery;
+    let [initial, harvested, spent, overflow, battery] =
+        [initial, harvested, spent, overflow, battery].map(|amount| format_number(amount.units()));
+    let end = if is_exact { "exact" } else { "NOT BALANCED" };
+    format!("energy: {initial} + {harvested} harvested = {spent} spent + {overflow} lost + {battery} left, {end}")
 }
 
 /// Formats the speed of the run, and its hosts and their memory if any.

@@ -281,7 +281,7 @@ fn begin_tables(path: &Path) -> anyhow::Result<TableWriter> {
 }
 
 /// Whether the run in a folder is complete, by the `status` of its summary ([`Summary::status`]).
-fn is_complete(path: &Path) -> bool {
+pub(crate) fn is_complete(path: &Path) -> bool {
     let text = fs::read_to_string(path.join(SUMMARY_FILE)).unwrap_or_default();
     serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|summary| summary["status"] == "complete")
 }

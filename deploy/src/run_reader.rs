@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reveille_bs::scenario::{Scenario, load_with_external};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
@@ -49,6 +49,9 @@ impl RunReader {
         if !scenario_file.is_file() {
             let cause = match path.metadata() {
                 Err(_) => "no such folder",
+                Ok(found) if found.is_dir() && has_broken_summary(path) => {
+                    "the folder holds no run: it has no scenario.toml, and its summary.json is not readable"
+                }
                 Ok(found) if found.is_dir() => "the folder holds no run",
                 Ok(_) => "not a folder",
             };
@@ -97,12 +100,22 @@ impl RunReader {
         &self.path
     }
 
-    /// Reads the actions of operators and scripts, in the order in which they take effect.
+    /// Reads the actions of operators and scripts, in the order in which they take effect. The input log also holds the
+    /// actions of a script after the end of an interrupted run, which are left out.
     ///
     /// # Errors
     /// If the input log cannot be read, or belongs to another scenario.
     pub(crate) fn actions(&self) -> anyhow::Result<Vec<OperatorAction>> {
-        Ok(input_log::read_folder(&self.path, &self.scenario)?.actions)
+        let mut actions = input_log::read_folder(&self.path, &self.scenario)?.actions;
+        if let Some(ttis_done) = self.ttis_done() {
+            actions.retain(|action| action.tti < ttis_done);
+        }
+        Ok(actions)
+    }
+
+    /// The number of TTIs that the run has done, and thus its end; `None` without a summary.
+    fn ttis_done(&self) -> Option<Tti> {
+        self.summary.as_ref()?["ttis_done"].as_u64().map(Tti)
     }
 
     /// Reads the table `name`; `None` if the run has not written it.
@@ -120,7 +133,7 @@ impl RunReader {
     /// Reads the missed events. Prints a note if the run has no summary.
     ///
     /// # Errors
-    /// If `events.csv` is missing or invalid.
+    /// If `events.csv` is missing, or it or the input log is invalid.
     pub(crate) fn misses(&self) -> anyhow::Result<Misses> {
         let Some(events) = self.table(EVENTS_FILE)? else {
             bail!("{}: holds no {EVENTS_FILE}; repeat the run", self.path.display());
@@ -134,6 +147,7 @@ impl RunReader {
         }
         self.note_if_unfinished();
         let mut misses = Misses::new(self.scenario.clone());
+        misses.actions = self.actions()?;
         let mut missed = Vec::new();
         for row in events.rows() {
             let is_counted = row.number::<u8>("counted")? == 1;
@@ -160,9 +174,8 @@ impl RunReader {
                 overflow_per_device_tti,
             },
         );
-        let ttis_done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
-        misses.end = match (ttis_done, misses.counted_starts.last()) {
-            (Some(ttis_done), _) => Tti(ttis_done),
+        misses.end = match (self.ttis_done(), misses.counted_starts.last()) {
+            (Some(ttis_done), _) => ttis_done,
             (None, Some(last)) => *last + 1,
             (None, None) => misses.end,
         };
@@ -176,6 +189,11 @@ impl RunReader {
     pub(crate) fn devices(&self) -> anyhow::Result<Option<RowTable>> {
         self.table(DEVICES_FILE)
     }
+}
+
+/// Whether the folder has a summary that is not JSON.
+fn has_broken_summary(folder: &Path) -> bool {
+    fs::read(folder.join(SUMMARY_FILE)).is_ok_and(|text| serde_json::from_slice::<Value>(&text).is_err())
 }
 
 /// Reads a missed event. Its nearest device and distance are placeholders that the caller replaces.
@@ -197,6 +215,15 @@ fn missed_event(row: &Row<'_>, start: Tti) -> anyhow::Result<MissedEvent> {
     })
 }
 
+/// Describes an error in a row. The usual one is a row that a full disk or an editor has cut.
+fn describe_table_error(error: csv::Error) -> anyhow::Error {
+    let csv::ErrorKind::UnequalLengths { pos, expected_len, len } = error.kind() else {
+        return error.into();
+    };
+    let line = pos.as_ref().map_or(0, csv::Position::line);
+    anyhow!("line {line}: {len} of {expected_len} columns; the file was cut or edited, run the scenario again")
+}
+
 impl RowTable {
     fn read(path: PathBuf) -> anyhow::Result<Self> {
         let path_text = || path.display().to_string();
@@ -209,6 +236,7 @@ impl RowTable {
         let rows = reader
             .into_records()
             .collect::<Result<Vec<_>, _>>()
+            .map_err(describe_table_error)
             .with_context(path_text)?;
         Ok(Self {
             path,

@@ -7,14 +7,17 @@ use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
+use reveille_common::bus::{Bus, Endpoint, Role};
 use reveille_common::keys::RunName;
 use reveille_common::secret::Secret;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::TargetArgs;
-use crate::key;
+use crate::run_folder::{SCENARIO_FILE, SUMMARY_FILE};
+use crate::{key, tls};
 
 /// The content of an entry: a JSON file that holds the address of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -25,6 +28,19 @@ struct RegistryEntry {
     pid: i32,
     /// The run's key.
     key: Option<String>,
+    /// The folder of certificates, if the endpoint needs one.
+    tls: Option<PathBuf>,
+    /// The run folder; other versions do not write it.
+    folder: Option<PathBuf>,
+}
+
+/// The entries in the registry.
+#[derive(Default)]
+struct RegistryEntries {
+    /// Entries of live processes, sorted by run.
+    live: Vec<RegistryEntry>,
+    /// Entries of base stations that have ended in a run that can be resumed, in no order.
+    ended: Vec<RegistryEntry>,
 }
 
 /// The address of a run to connect to.
@@ -35,6 +51,24 @@ pub(crate) struct RunAddress {
     pub run: RunName,
     /// Its key, if known.
     pub key: Option<Secret>,
+    /// The folder of certificates, if known.
+    pub tls: Option<PathBuf>,
+}
+
+impl RunAddress {
+    /// Connects to the base station within `patience`, over TLS with the certificate of the first of `roles` that the
+    /// folder has.
+    ///
+    /// # Errors
+    /// If the certificate cannot be used, or no base station answers.
+    pub(crate) async fn connect(self, roles: &[Role], patience: Duration) -> anyhow::Result<Bus> {
+        let files = tls::files_of_role(self.tls.as_deref(), roles)?;
+        let endpoint = Endpoint {
+            address: &self.endpoint,
+            tls: files.as_ref(),
+        };
+        Ok(Bus::connect(endpoint, self.run, patience).await?.with_key(self.key))
+    }
 }
 
 /// The registry entry of this process's run; removed when dropped.
@@ -46,11 +80,18 @@ impl Drop for Registration {
     }
 }
 
-/// Registers the base station of `run` in this process, with its `key` and `endpoint`.
+/// Registers the base station of `run` in this process, with its `key`, its `endpoint`, the folder of its certificates
+/// and the run folder.
 ///
 /// # Errors
 /// If the entry cannot be written.
-pub(crate) fn register(run: &RunName, endpoint: &str, key: Option<Secret>) -> anyhow::Result<Registration> {
+pub(crate) fn register(
+    run: &RunName,
+    endpoint: &str,
+    key: Option<Secret>,
+    tls: Option<&Path>,
+    folder: &Path,
+) -> anyhow::Result<Registration> {
     let registry_folder = registry_folder();
     // Anything else at this path, such as a link, is refused by `check_folder`.
     if registry_folder.symlink_metadata().is_err() {
@@ -66,9 +107,11 @@ pub(crate) fn register(run: &RunName, endpoint: &str, key: Option<Secret>) -> an
     let path = registry_folder.join(format!("{run}-{pid}.json"));
     let entry = RegistryEntry {
         run: run.to_string(),
-        endpoint: endpoint.to_owned(),
+        endpoint: local_endpoint(endpoint),
         pid,
         key: key.map(|key| key.to_string()),
+        tls: tls.map(std::path::absolute).transpose()?,
+        folder: Some(std::path::absolute(folder)?),
     };
     write_entry(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registration(path))
@@ -111,29 +154,44 @@ pub(crate) fn reachable_endpoint(endpoint: &str) -> String {
         .replace("/[::]:", "/ADDRESS:")
 }
 
+/// The endpoint for this machine: a listener on all addresses is reached at the loopback address, which certificates
+/// name.
+pub(crate) fn local_endpoint(endpoint: &str) -> String {
+    endpoint
+        .replace("/0.0.0.0:", "/127.0.0.1:")
+        .replace("/[::]:", "/[::1]:")
+}
+
 /// Finds the run that `target` selects.
 ///
 /// # Errors
-/// If there is no such run, several match, or other users may have written the registry.
+/// If there is no such run, its base station has ended, several match, or other users may have written the registry.
 pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
     let key = target.key_file.as_deref().map(key::read).transpose()?;
     if let (Some(endpoint), Some(run)) = (&target.connect, &target.run) {
+        // An unreadable registry has no entries.
+        let entries = read_entries().unwrap_or_default();
+        let is_target = |entry: &&RegistryEntry| entry.endpoint == *endpoint && entry.run == run.to_string();
+        let live = entries.live.iter().find(is_target);
         return Ok(RunAddress {
-            key: key.or_else(|| key_of(endpoint, run)),
+            key: key.or_else(|| live?.key()),
             endpoint: endpoint.clone(),
             run: run.clone(),
+            tls: target.tls.clone(),
         });
     }
-    let matching_entries: Vec<RegistryEntry> = live_entries()?
-        .into_iter()
-        .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
-        .collect();
-    match &matching_entries[..] {
+    let is_target = |entry: &RegistryEntry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run);
+    let RegistryEntries { mut live, mut ended } = read_entries()?;
+    live.retain(is_target);
+    ended.retain(is_target);
+    match &live[..] {
         [entry] => Ok(RunAddress {
             endpoint: entry.endpoint.clone(),
             run: entry.run.parse()?,
             key: key.or_else(|| entry.key()),
+            tls: target.tls.as_ref().or(entry.tls.as_ref()).cloned(),
         }),
+        [] if ended.len() == 1 => bail!("{}", ended[0].describe_end()),
         [] => match &target.run {
             Some(run) => bail!("no run {run} on this machine; for a run on another machine give --connect as well"),
             None => bail!("no run on this machine; start one with `reveille up`, or give --connect and --run"),
@@ -152,50 +210,64 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
     }
 }
 
-/// The registered key of a run given by its address, if it runs on this machine. An unreadable registry has no key.
-fn key_of(endpoint: &str, run: &RunName) -> Option<Secret> {
-    let live_entries = live_entries().ok()?;
-    let entry = live_entries
-        .iter()
-        .find(|entry| entry.endpoint == endpoint && entry.run == run.to_string());
-    entry.and_then(RegistryEntry::key)
-}
-
 impl RegistryEntry {
+    /// Describes the end of the base station, with the command that resumes the run.
+    fn describe_end(&self) -> String {
+        let folder = self.folder.as_deref().unwrap_or(Path::new("FOLDER"));
+        format!(
+            "run {}: its base station (pid {}) has ended; resume the run with `reveille up --resume {}`",
+            self.run,
+            self.pid,
+            folder.display()
+        )
+    }
+
+    /// Whether the run has a folder without results.
+    fn is_resumable(&self) -> bool {
+        let folder = self.folder.as_deref();
+        folder.is_some_and(|folder| folder.join(SCENARIO_FILE).is_file() && !folder.join(SUMMARY_FILE).exists())
+    }
+
     fn key(&self) -> Option<Secret> {
         self.key.as_ref()?.parse().ok()
     }
 }
 
-/// Returns the entries of live processes, sorted by run, and removes the entries of ended processes.
-fn live_entries() -> anyhow::Result<Vec<RegistryEntry>> {
+/// Reads the entries. Removes the entry of an ended process, unless its run can be resumed.
+fn read_entries() -> anyhow::Result<RegistryEntries> {
     let registry_folder = registry_folder();
     if registry_folder.symlink_metadata().is_err() {
-        return Ok(Vec::new());
+        return Ok(RegistryEntries::default());
     }
     check_folder(&registry_folder).map_err(|why| {
         anyhow!("{why:#}; or give --run and --connect, or set XDG_RUNTIME_DIR to a folder that only you can write to")
     })?;
     let files = fs::read_dir(&registry_folder).with_context(|| registry_folder.display().to_string())?;
-    let mut live = Vec::new();
+    let mut entries = RegistryEntries::default();
     for path in files.flatten().map(|file| file.path()) {
         let entry: Option<RegistryEntry> = fs::read(&path)
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         match entry {
-            Some(entry) if is_alive(entry.pid) => live.push(entry),
+            Some(entry) if is_alive(entry.pid) => entries.live.push(entry),
             // A killed process leaves its entry behind.
+            Some(entry) if entry.is_resumable() => entries.ended.push(entry),
             Some(_) => drop(fs::remove_file(&path)),
             // A run that registers now may still be writing its entry.
             None => {}
         }
     }
-    live.sort_by(|a, b| a.run.cmp(&b.run));
-    Ok(live)
+    entries.live.sort_by(|a, b| a.run.cmp(&b.run));
+    Ok(entries)
 }
 
+/// Whether a process runs. A zombie, which has ended and whose parent has not asked for its exit code, does not.
 fn is_alive(pid: i32) -> bool {
-    rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
+    let exists = rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok());
+    // The state follows the name in parentheses, which can contain any characters.
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let state = stat.rsplit_once(')').map_or("", |(_, rest)| rest.trim_start());
+    exists && !state.starts_with(['Z', 'X'])
 }
 
 /// The folder of the entries, which only the current user can write to.

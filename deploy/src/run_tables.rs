@@ -10,7 +10,6 @@ use reveille_common::event::EventRecord;
 use reveille_common::geometry::Buckets;
 use reveille_common::score::{DeviceRecord, EventActivity, Metrics, WindowRecord};
 use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
-use reveille_common::units::{Energy, MICRO_PER_UNIT};
 
 /// The columns of `events.csv`.
 pub(crate) const EVENT_COLUMNS: [&str; 15] = [
@@ -96,7 +95,7 @@ pub(crate) fn event_row(record: &EventRecord, positions: &Buckets) -> [String; E
         tally.wake_ups.to_string(),
         format_information(u128::from(tally.information_pico)),
         tally.wrong_activations.to_string(),
-        format_units(tally.wasted_energy),
+        tally.wasted_energy.decimal_units(),
         record
             .miss_cause
             .map_or_else(String::new, |cause| cause.name().to_owned()),
@@ -120,11 +119,11 @@ pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String;
         record.position.x.to_string(),
         record.position.y.to_string(),
         class.map_or_else(String::new, |class| class.name.clone()),
-        format_units(spent.sensing),
-        format_units(spent.sleep),
-        format_units(spent.report),
-        format_units(measured.harvested),
-        format_units(measured.overflow),
+        spent.sensing.decimal_units(),
+        spent.sleep.decimal_units(),
+        spent.report.decimal_units(),
+        measured.harvested.decimal_units(),
+        measured.overflow.decimal_units(),
         reports.to_string(),
         wake_ups.to_string(),
         received_wake_ups.to_string(),
@@ -134,8 +133,8 @@ pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String;
         measured.low_ttis.to_string(),
         measured.unpowered_ttis.to_string(),
         record.ledger.longest_outage.to_string(),
-        format_units(measured.initial),
-        format_units(measured.battery),
+        measured.initial.decimal_units(),
+        measured.battery.decimal_units(),
     ]
 }
 
@@ -174,22 +173,4 @@ pub(crate) fn window_row(devices: u32, record: &WindowRecord) -> impl Iterator<I
 /// Formats a sum of information, in parts of 1 / [`PICO_PER_INFORMATION`], as a plain number.
 fn format_information(pico: u128) -> String {
     (pico as f64 / PICO_PER_INFORMATION).to_string()
-}
-
-/// Formats an energy in units, exactly.
-fn format_units(energy: Energy) -> String {
-    // In whole numbers: an f64 would round a large energy.
-    let micro = energy.micro();
-    format!("{}.{:06}", micro / MICRO_PER_UNIT, micro % MICRO_PER_UNIT)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn energies_are_written_in_units_to_the_microunit() {
-        let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| format_units(Energy::from_micro(micro)));
-        assert_eq!(texts, ["0.000000", "0.000001", "0.999999", "1.000000", "12345.678901"]);
-    }
 }

@@ -44,7 +44,11 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
                 path.display()
             );
         }
-        check_output_path(path, "the recording")?;
+        // The run creates its folder before the recording.
+        let is_in_run_folder = args.out.is_some() && path.parent() == args.out.as_deref();
+        if !is_in_run_folder || path.is_dir() {
+            check_output_path(path, "the recording")?;
+        }
     }
     if let Some(address) = &args.metrics {
         metrics_server::check_can_listen("--metrics", address)?;

@@ -31,6 +31,8 @@ pub(crate) enum SignalMode {
     SavesResults,
     /// A process without results to keep. The second signal ends it immediately.
     HasNoResults,
+    /// A process that stops its containers: announces that at the first signal. The second ends it immediately.
+    StopsContainers,
     /// A process that ends its process group, itself included, with the same signals: further ones change nothing.
     EndsGroup,
 }
@@ -154,16 +156,22 @@ pub(crate) fn run_on_thread<T: Send + 'static>(
 
 /// Reacts to a signal, in addition to its record in [`Signals`].
 fn react(mode: SignalMode, signal: i32, is_first: bool, is_saved: bool) {
+    // A terminal that closes sends SIGHUP more than once: from the kernel, and from its shell.
+    let is_repeated = !is_first && signal != SIGHUP;
     match mode {
         SignalMode::SavesResults if is_first && is_saved => {}
         SignalMode::SavesResults if is_first => {
             tracing::warn!("interrupted; saving the results so far (a second signal ends the program without saving)");
         }
-        // A terminal that closes sends SIGHUP more than once: from the kernel, and from its shell.
-        SignalMode::SavesResults | SignalMode::HasNoResults if !is_first && signal != SIGHUP => {
+        SignalMode::StopsContainers if is_first => {
+            note!("interrupted; stopping the containers (a second signal ends the program immediately)");
+        }
+        SignalMode::StopsContainers if is_repeated => {
+            note!("ended; containers may still run: see `reveille testbed status`");
             ExitReason::Interrupted.exit_now()
         }
-        SignalMode::SavesResults | SignalMode::HasNoResults | SignalMode::EndsGroup => {}
+        SignalMode::SavesResults | SignalMode::HasNoResults if is_repeated => ExitReason::Interrupted.exit_now(),
+        SignalMode::SavesResults | SignalMode::HasNoResults | SignalMode::StopsContainers | SignalMode::EndsGroup => {}
     }
 }
 

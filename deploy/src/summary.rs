@@ -13,7 +13,7 @@ use reveille_common::totals::Totals;
 use serde::Serialize;
 
 /// The version of the format of `summary.json`; raised when a field changes its meaning.
-const SUMMARY_VERSION: u32 = 4;
+const SUMMARY_VERSION: u32 = 5;
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
@@ -109,7 +109,7 @@ pub(crate) struct Timing {
     pub run_s: f64,
     /// Mean TTIs per second over that time.
     pub ttis_per_s: f64,
-    /// Number of hosts (1 if the base station ran the devices), or 0 for a run in memory.
+    /// Number of device processes (1 if the base station ran the devices), or 0 for a run in memory.
     pub hosts: usize,
     /// Barriers over all hosts; fewer than TTIs if lookahead joined some.
     pub grants: u64,

@@ -22,8 +22,16 @@ const CASE_METRICS: [(&str, f64); 3] = [
 const SHARE_METRIC: &str = "misdetection_pct";
 /// The rule of three: without a case among n, 3/n is the 95 % upper bound. Another `CONFIDENCE` needs another number.
 const RULE_OF_THREE: f64 = 3.0;
-/// The largest number of cases for which a cell of one run, which has no interval, gets a bound.
-const MAX_FEW_CASES_OF_ONE_RUN: u64 = 9;
+/// The largest number of cases for which a cell of one run, which has no interval, gets a bound. `reveille compare`
+/// prints no interval of such a run.
+pub const MAX_FEW_CASES_OF_ONE_RUN: u64 = 9;
+
+/// The value of a metric for one case per event, if it counts cases per event.
+#[must_use]
+pub fn value_per_case(metric: &str) -> Option<f64> {
+    let case_metric = CASE_METRICS.iter().find(|(name, _)| *name == metric);
+    case_metric.map(|(_, value_per_case)| *value_per_case)
+}
 
 /// Counts of cases and events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,17 +60,17 @@ impl MetricEstimate {
     pub fn from_rows(rows: &[&ResultRow], metric: &str) -> Option<Self> {
         let defined_values = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
         let mean_estimate = Estimate::from_values(defined_values().map(|(_, value)| value))?;
-        let case_metric = CASE_METRICS.iter().find(|(name, _)| *name == metric);
-        let case_counts = case_metric.map(|(_, value_per_case)| CaseCounts {
+        let value_per_case = value_per_case(metric);
+        let case_counts = value_per_case.map(|value_per_case| CaseCounts {
             cases: defined_values()
                 // The metric is a ratio of whole numbers: rounding removes the error of the division.
                 .map(|(row, value)| (value * row.events as f64 / value_per_case).round() as u64)
                 .sum(),
             events: defined_values().map(|(row, _)| row.events).sum(),
         });
-        let count_bound = case_metric
+        let count_bound = value_per_case
             .zip(case_counts)
-            .map(|((_, value_per_case), counts)| value_per_case * counts.upper_bound_per_event());
+            .map(|(value_per_case, counts)| value_per_case * counts.upper_bound_per_event());
         // A difference may be negative, so an interval across zero does not indicate few cases.
         let is_difference = Metrics::find(metric).is_some_and(|metric| metric.is_difference);
         Some(Self {

@@ -9,7 +9,7 @@ use reveille_bs::session::{Action, ActionResult, GrantAnswers, InputQueue, Sessi
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
     Change, DeviceCheckpoint, DeviceRange, FailedTransmission, GrantMessage, HostCheckpoint, PlanUpdate, Report,
-    WakeOutcome,
+    UnableDetectors, WakeOutcome,
 };
 use reveille_common::radio::Air;
 use reveille_common::score::WindowRecord;
@@ -350,12 +350,13 @@ impl Devices {
         self.reports.clear();
         self.failures.clear();
         self.views.clear();
-        let mut unpowered = 0;
+        let mut unable = UnableDetectors::default();
         if let Some(stimulus) = &grant.stimulus {
             for device in detectors {
                 match self.machines[device.index()].sense(grant.last, stimulus, &self.physics) {
                     SenseOutcome::Nothing => {}
-                    SenseOutcome::Unpowered => unpowered += 1,
+                    SenseOutcome::Failed => unable += UnableDetectors::FAILED,
+                    SenseOutcome::Unpowered => unable += UnableDetectors::UNPOWERED,
                     SenseOutcome::Reported(report) => self.reports.push(report),
                     SenseOutcome::TransmissionFailed(failure) => self.failures.push(failure),
                 }
@@ -371,7 +372,7 @@ impl Devices {
         GrantAnswers {
             reports: &mut self.reports,
             failures: &mut self.failures,
-            unpowered,
+            unable,
             views: &self.views,
         }
     }

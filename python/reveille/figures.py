@@ -167,7 +167,8 @@ def deployment_figure(
 ) -> Figure:
     """Draws a deployment with each device's action at the end of an event, from a run made like :func:`reveille.run`.
 
-    :param event: the event's number, from 0; by default the first event after the warm-up with a woken device.
+    :param event: the event's number, from 0; by default the first event after the warm-up with several reports and a
+        wake-up, else with a report, else the first event.
     :raises ValueError: the scenario is refused, there is no such event, or there are more devices than can be drawn.
     """
     changes = overrides(

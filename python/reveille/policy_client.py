@@ -35,6 +35,9 @@ OLDEST = 1
 #: a while, or the base station may be resumed at the same endpoint.
 GONE = 30.0
 
+#: One thread for all of zenoh: on several, zenoh 1.10 corrupts TLS links (zenoh issue 2557).
+ONE_THREAD = "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))"
+
 #: Stage numbers, as in environments, by their names on the bus.
 STAGES = {"plan": 0, "wake": 1}
 
@@ -43,12 +46,14 @@ STAGES = {"plan": 0, "wake": 1}
 class Target:
     """Address, name and key of a run."""
 
-    #: Endpoint of the base station, ``tcp/HOST:PORT``.
+    #: Endpoint of the base station, ``tcp/HOST:PORT`` or ``tls/HOST:PORT``.
     connect: str
     #: Name of the run.
     run: str
     #: Key of the run, 32 hexadecimal digits, which a policy process must present.
     key: str = field(repr=False, default="")
+    #: Folder of ``reveille tls init``, for an endpoint ``tls/HOST:PORT``; the subfolder ``policy`` suffices.
+    tls: str = ""
 
 
 @dataclass(frozen=True)
@@ -96,28 +101,37 @@ def _runs() -> list[Target]:
         try:
             entry = json.loads(path.read_text())
             os.kill(entry["pid"], 0)
-            targets.append(Target(entry["endpoint"], entry["run"], entry.get("key") or ""))
+            targets.append(Target(entry["endpoint"], entry["run"], entry.get("key") or "", entry.get("tls") or ""))
         except (OSError, ValueError, KeyError, TypeError):
             # The run has ended, or its entry is being written.
             continue
     return targets
 
 
-def find(connect: str | None = None, run: str | None = None, key_file: str | os.PathLike[str] | None = None) -> Target:
+def find(
+    connect: str | None = None,
+    run: str | None = None,
+    key_file: str | os.PathLike[str] | None = None,
+    tls: str | os.PathLike[str] | None = None,
+) -> Target:
     """Finds the run: from the arguments, then from the environment that ``--policy-command`` sets
-    (``REVEILLE_CONNECT``, ``REVEILLE_RUN``, ``REVEILLE_KEY``), then the only run of this user on this machine.
+    (``REVEILLE_CONNECT``, ``REVEILLE_RUN``, ``REVEILLE_KEY``, ``REVEILLE_TLS``), then the only run of this user on this
+    machine.
 
-    :param connect: the base station's endpoint, ``tcp/HOST:PORT``.
+    :param connect: the base station's endpoint, ``tcp/HOST:PORT`` or ``tls/HOST:PORT``.
     :param run: the name of the run.
     :param key_file: the file with the run's key, written by ``reveille bs --key-file``.
+    :param tls: the folder of certificates, written by ``reveille tls init``.
     :raises PortError: there is no such run, there is more than one, or the key is malformed.
     """
     key = Path(key_file).read_text().strip() if key_file is not None else None
     if key is not None and not re.fullmatch("[0-9a-fA-F]{32}", key):
         raise PortError(f"{key_file}: not a key of a run; it must be 32 hexadecimal digits")
     given = os.environ
+    folder = os.fspath(tls) if tls is not None else None
     if connect is None and run is None and "REVEILLE_CONNECT" in given and "REVEILLE_RUN" in given:
-        return Target(given["REVEILLE_CONNECT"], given["REVEILLE_RUN"], key or given.get("REVEILLE_KEY", ""))
+        known, folder = given.get("REVEILLE_KEY", ""), folder or given.get("REVEILLE_TLS", "")
+        return Target(given["REVEILLE_CONNECT"], given["REVEILLE_RUN"], key or known, folder)
     runs = [
         target
         for target in _runs()
@@ -125,15 +139,26 @@ def find(connect: str | None = None, run: str | None = None, key_file: str | os.
     ]
     if connect is not None and run is not None:
         known = runs[0].key if runs else given.get("REVEILLE_KEY", "")
-        return Target(connect, run, key or known)
+        return Target(connect, run, key or known, folder or (runs[0].tls if runs else given.get("REVEILLE_TLS", "")))
     if len(runs) == 1:
-        return Target(runs[0].connect, runs[0].run, key or runs[0].key)
+        return Target(runs[0].connect, runs[0].run, key or runs[0].key, folder or runs[0].tls)
     if not runs:
         raise PortError(
             "no such run on this machine; start one with `reveille up --policy external`, or give connect= and run="
         )
     names = ", ".join(target.run for target in runs)
     raise PortError(f"there are {len(runs)} runs on this machine; choose one with run=: {names}")
+
+
+def _tls_settings(target: Target) -> dict[str, str]:
+    """Returns the settings of a session with the certificate of a policy process."""
+    folder = Path(target.tls).absolute() / "policy"
+    names = {"root_ca_certificate": "ca.pem", "connect_certificate": "cert.pem", "connect_private_key": "key.pem"}
+    for name in names.values():
+        if not target.tls or not (folder / name).exists():
+            raise PortError(f"endpoint {target.connect!r}: needs {folder / name} of `reveille tls init`; give tls=")
+    files = {f"transport/link/tls/{key}": json.dumps(str(folder / name)) for key, name in names.items()}
+    return {"transport/link/tls/enable_mtls": "true", **files}
 
 
 class PolicyClient:
@@ -184,6 +209,7 @@ class PolicyClient:
         connect: str | None = None,
         run: str | None = None,
         key_file: str | os.PathLike[str] | None = None,
+        tls: str | os.PathLike[str] | None = None,
         patience: float = 30.0,
     ) -> int:
         """Decides until the run is over and returns the number of decisions. For the other arguments see :func:`find`.
@@ -191,12 +217,17 @@ class PolicyClient:
         :param patience: seconds to try to reach the base station.
         :raises PortError: there is no such run, it cannot be reached, or it refuses this process.
         """
+        target = find(connect, run, key_file, tls)
+        if not re.fullmatch(r"(tcp|tls)/.+:[0-9]{1,5}", target.connect):
+            raise PortError(f"endpoint {target.connect!r}: must be tcp/HOST:PORT or tls/HOST:PORT")
+        if target.connect.startswith("tls/"):
+            # zenoh needs one thread for a TLS link, and reads this when its first session opens.
+            os.environ["ZENOH_RUNTIME"] = ONE_THREAD
         import zenoh
 
         # Another run may send equal requests, which need new answers. The new id is free of earlier refusals.
         self._id, self._last, self._is_over = secrets.token_hex(8), None, False
         self.decided, self.hello = 0, None
-        target = find(connect, run, key_file)
         config = zenoh.Config()
         settings = {
             "mode": '"client"',
@@ -206,8 +237,8 @@ class PolicyClient:
             "scouting/multicast/enabled": "false",
             "scouting/gossip/enabled": "false",
         }
-        if not re.fullmatch(r"tcp/.+:[0-9]{1,5}", target.connect):
-            raise PortError(f"endpoint {target.connect!r}: must be tcp/HOST:PORT, such as tcp/127.0.0.1:7447")
+        if target.connect.startswith("tls/"):
+            settings |= _tls_settings(target)
         for key, value in settings.items():
             config.insert_json5(key, value)
         try:

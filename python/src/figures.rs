@@ -13,7 +13,7 @@ use pyo3::types::PyBytes;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::find_table;
 use reveille_lab::table::Table;
-use reveille_study::figures::deployment::{self, EventScene};
+use reveille_study::figures::deployment::{self, EventChoice, EventScene};
 use reveille_study::figures::results::Results;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
@@ -143,7 +143,8 @@ pub(crate) fn deployment_picture(
 ) -> PyResult<PyFigure> {
     let scenario = read_with_builtin_policy(py, source, &set)?;
     py.detach(|| {
-        let event_scene = EventScene::from_scenario(&scenario, event).map_err(value_error)?;
+        let choice = event.map_or(EventChoice::Automatic, EventChoice::Number);
+        let event_scene = EventScene::from_scenario(&scenario, choice).map_err(value_error)?;
         let name = deployment::file_name(&scenario, &event_scene);
         Ok(PyFigure::new(deployment::scene(&scenario, &event_scene), name))
     })

@@ -73,8 +73,8 @@ def test_each_value_of_another_varying_field_gives_a_figure(table):
     ("options", "message"),
     [
         ({"y": "info_p9"}, "metric `info_p9`: unknown metric; use "),
-        ({"x": "device"}, "field `device`: unknown field; the runs have preset, policy, devices"),
-        ({"by": "nothing"}, "field `nothing`: unknown field"),
+        ({"x": "device"}, "field `device`: not varied in these runs; use preset, policy, devices"),
+        ({"by": "nothing"}, "field `nothing`: not varied in these runs"),
         ({"x": "policy", "by": "devices"}, "is not a number; draw a line for each value"),
         ({"by": "devices"}, "each line would be a single point"),
         ({"where": {"devices": 11}}, "devices = 11: no run has this value; use 10, 20, 30"),

@@ -5,12 +5,15 @@ Decisions over the bus are compared with environments and replays by their diges
 
 import json
 import os
+import shlex
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
 import threading
 import time
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -32,7 +35,7 @@ def folder(tmp_path, monkeypatch):
     runtime = tmp_path / "runtime"
     runtime.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
-    for name in ("REVEILLE_CONNECT", "REVEILLE_RUN", "REVEILLE_KEY"):
+    for name in ("REVEILLE_CONNECT", "REVEILLE_RUN", "REVEILLE_KEY", "REVEILLE_TLS"):
         monkeypatch.delenv(name, raising=False)
     yield tmp_path
     # A failed test can leave processes behind.
@@ -74,6 +77,39 @@ def replay(folder):
     command = [PROGRAM, "run", "--policy", "replay=out/inputs.log", "--json", "--out", "again"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT, check=True)
     return json.loads(result.stdout)
+
+
+@needs_program
+def test_the_client_without_the_package_decides(folder):
+    client = Path(__file__).resolve().parents[2] / "deploy" / "examples" / "client.py"
+    command = shlex.join([sys.executable, str(client)])
+    summary = EmulatorRun(folder, "-n", "20", "-k", "200", "--policy-command", command).summary()
+    assert summary["timing"]["decisions"] >= 200
+    assert replay(folder)["digest"] == summary["digest"]
+
+
+@needs_program
+def test_a_policy_process_decides_over_tls(folder):
+    """The program needs the cargo feature ``tls``, as in the continuous integration."""
+    made = subprocess.run([PROGRAM, "tls", "init", "certs"], cwd=folder, capture_output=True, text=True)
+    if made.returncode == 2 and os.environ.get("CI") != "true":
+        pytest.skip("the program has no TLS")
+    assert made.returncode == 0, made.stderr
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+    script = folder / "policy.py"
+    script.write_text('import reveille\nreveille.decide(lambda o: {"sense": [0, 1]} if o["stage"] == 0 else {"wake": []})\n')
+    command = [PROGRAM, "bs", "--policy", "external", "--policy-command", f"exec {sys.executable} {script}"]
+    command += ["--run", "tls", "--listen", f"tls/0.0.0.0:{port}", "--tls", "certs", "-n", "10", "-k", "200"]
+    bs = subprocess.Popen([*command, "--json", "--quiet", "--out", "out"], cwd=folder, stdout=subprocess.PIPE, text=True)
+    EmulatorRun.started.append(bs)
+    command = [PROGRAM, "device", "--run", "tls", "--connect", f"tls/localhost:{port}", "--tls", "certs"]
+    device = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT)
+    assert device.returncode == 0, device.stderr
+    summary = json.loads(bs.communicate(timeout=TIMEOUT)[0])
+    assert summary["timing"]["decisions"] >= 200
+    assert summary["digest"] == replay(folder)["digest"]
 
 
 @needs_program

@@ -13,5 +13,6 @@
 pub mod analysis;
 pub mod claims;
 pub mod figures;
+mod first_letter;
 pub mod misses;
 pub mod report;

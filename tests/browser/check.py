@@ -170,7 +170,7 @@ def started(here, name, *command):
     log = here / name
     process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL, stderr=log.open("w"))
     try:
-        yield process.pid, wait(lambda: next((word.strip(";") for word in log.read_text().split() if word.startswith("http://")), None), 60)
+        yield process.pid, wait(lambda: next((word for word in log.read_text().split() if word.startswith("http://")), None), 60)
     finally:
         if process.poll() is not None:
             print(f"process ended early: {' '.join(map(str, command))}\n{log.read_text()}", file=sys.stderr)
@@ -210,8 +210,9 @@ def live(reveille, here, devices, pace, options=""):
 
 @contextlib.contextmanager
 def compared(reveille, here):
+    # Lost reports let both runs miss events.
     for seed in (1, 2):
-        run = f"run -p age-index -n 60 -k 900 --set seed={seed} --record {seed}.mcap --quiet --out of-{seed}".split()
+        run = f"run -p age-index -n 60 -k 900 --set radio.uplink_loss=0.3 --set seed={seed} --record {seed}.mcap --quiet --out of-{seed}".split()
         subprocess.run([reveille, *run], cwd=here, check=True, stdout=subprocess.DEVNULL)
     compared = subprocess.run([reveille, "compare", "--exit-code", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
     assert compared.returncode == 1, compared
@@ -246,7 +247,8 @@ def check_comparison(page, pictures):
     assert page.text("#this-name").startswith("this run: ") and page.text("#other-name").startswith("other run: ")
     colours = "[...document.querySelectorAll('#chart-p1 .legend b')].map((value) => value.style.color)"
     page.until(f"new Set({colours}).size === 2")
-    assert page.text("#counted").startswith("this run: ") and page.text("#timeline-title") == "Timeline of this run"
+    check_compared_heading(page)
+    assert page.text("#timeline-title") == "Timeline of this run"
     # `inspect tail` has the same filters.
     fields = "const fields = document.getElementById('filters');"
     page.value(f"(() => {{ {fields} fields.here.checked = false; fields.kind.value = 'wake'; fields.state.value = 'S4'; fields.requestSubmit(); }})()")
@@ -259,6 +261,21 @@ def check_comparison(page, pictures):
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
     check_shapes(page, pictures, "compare")
     print(f"two seeds: {difference.split(chr(10))[0][:60]}")
+
+
+def check_compared_heading(page):
+    """The heading names both runs with the events that each of them has missed."""
+    missed = page.value(
+        "(async () => { const counts = []; for (const run of ['', 'other/']) {"
+        "  const points = await fetch(`api/${run}curves`).then((answer) => answer.json()); counts.push(points.at(-1).metrics[1]); }"
+        " return counts; })()"
+    )
+    for nth, (selector, which) in enumerate((("#counted", "this run, of-1 "), ("#other-counted", "other run, of-2 "))):
+        page.until(f"/ of [0-9]+ events? missed/.test(document.querySelector({selector!r}).textContent)")
+        text = page.text(selector)
+        share = float(text.rpartition("(")[2].split()[0])
+        assert text.startswith(which) and abs(share - missed[nth]) < 0.01, (text, missed)
+    assert page.text("#run") == "of-1 and of-2", page.text("#run")
 
 
 # Counts the frames in which the shown TTI differs from the one in the frame before.
@@ -355,6 +372,9 @@ def check_live(page, pictures):
     check_curves(page)
     check_timeline(page, stopped)
     check_misses(page)
+    check_last_events(page)
+    check_singulars(page)
+    check_address(page)
     check_messages(page)
     check_exports(page)
     check_names(page)
@@ -369,7 +389,7 @@ def check_live(page, pictures):
     page.until(f"reveille.updates > {before + 2}")
     rate = (page.value("reveille.updates") - before) / (time.monotonic() - start)
     assert rate < 4, f"{rate:.1f} updates a second with reduced motion"
-    # The address of another run on this port differs only in its token.
+    # The address of another run on this port differs in its token.
     page.value("window.isOld = true; location.hash = '#other'")
     time.sleep(1)
     page.until("window.isOld === undefined && window.reveille?.updates > 0")
@@ -396,8 +416,9 @@ def check_clock(page):
     stopped = page.value("reveille.now.next")
     time.sleep(1)
     assert page.value("reveille.now.next") == stopped, "paused"
-    # One TTI on the whole page.
-    assert page.text("#progress").replace("\u202f", "").startswith(f"TTI {stopped - 1} of"), page.text("#progress")
+    # In the words of `reveille clock status`.
+    assert page.text("#progress").replace("\u202f", "").startswith(f"before TTI {stopped} of"), page.text("#progress")
+    assert page.value("document.getElementById('pace').placeholder") == "max"
     assert "TTI" not in page.text("#clock-note") and page.value("reveille.tti") == stopped - 1
     page.push("#step")
     page.until(f"reveille.now.next === {stopped + 1}")
@@ -451,6 +472,7 @@ def check_map(page):
     width, height = page.value("(() => { const box = document.getElementById('map').getBoundingClientRect(); return [box.width, box.height]; })()")
     page.click(*page.centre("#map", (10 + centre[0] * (width - 20)) / width, (10 + centre[1] * (height - 20)) / height))
     page.until("reveille.device === 7 && !document.getElementById('one').hidden")
+    page.until("/ · host \\d+, the process with pid \\d+$/.test(document.getElementById('one-facts').textContent)")
     page.until("document.getElementById('ledger').textContent.includes('unpowered')")
     assert page.text("#one-title") == "Device 7"
 
@@ -520,7 +542,7 @@ def check_timeline(page, stopped):
     page.until(f"reveille.timeline.cell(5, {stopped - 60}) !== null")
     page.until(f"{COLOURS.replace('CANVAS', 'timeline')} > 10")
     differing = page.value(
-        f"(async () => {{ const names = {{ 1: 'S1 senses', 2: 'S3', 3: 'S3', 4: 'S4 sleeps', 0: 'unpowered', x: 'failed by an operator' }}, found = [];"
+        f"(async () => {{ const names = {{ 1: 'S1 senses', 2: 'S3 reports', 3: 'S3 reports', 4: 'S4 sleeps', 0: 'S4 unpowered', x: 'failed by an operator' }}, found = [];"
         f" for (const device of [0, 5, 9]) {{ const own = await fetch(`api/device/${{device}}?from={stopped - 120}&end={stopped - 20}`).then((a) => a.json());"
         " [...own.states].forEach((state, nth) => { const cell = reveille.timeline.cell(device, own.from + nth);"
         " if (!cell?.states.includes(names[state]) || Math.abs(cell.battery - own.batteries[nth]) > 0.5) found.push([device, own.from + nth, state, cell]); }); }"
@@ -566,6 +588,9 @@ def check_misses(page):
     page.press("n")
     page.until(f"reveille.moment.tti === {misses[1]} && reveille.moment.event")
     assert page.text("#miss-note").startswith("missed event "), page.text("#miss-note")
+    # The heading counts no events of the warm-up, in which this run stays. The note wraps and is not cut off.
+    assert ", in the warm-up, not counted: " in page.text("#miss-note"), page.text("#miss-note")
+    assert page.value("(() => { const { scrollWidth, clientWidth } = document.getElementById('miss-note'); return scrollWidth <= clientWidth; })()")
     page.press("p")
     page.until(f"reveille.moment.tti === {misses[0]}")
     page.push("#previous-miss")
@@ -574,8 +599,63 @@ def check_misses(page):
     page.until(f"reveille.moment.tti === {misses[1]}")
 
 
+def check_last_events(page):
+    """The list of the last events ends at the shown TTI, and names the cause of a missed event."""
+    miss = page.value(
+        "fetch('api/events?from=0').then((a) => a.json()).then((all) => { const found = all.filter((event) => event.delay === null); return found[found.length >> 1]; })"
+    )
+    assert miss["cause"], miss
+    page.fill("#tti", miss["last"])
+    first = "document.querySelector('#ticker li').textContent"
+    page.until(f"reveille.moment.tti === {miss['last']} && {first}.includes('event {miss['event']} has ended, missed ({miss['cause']})')")
+    ttis = page.value("[...document.querySelectorAll('#ticker button')].map((button) => +button.textContent.slice(4))")
+    assert ttis[0] == miss["last"] and ttis == sorted(ttis, reverse=True), ttis
+    # The map is painted only on the screen.
+    page.centre("#map")
+    page.until(f"document.getElementById('description').textContent.includes('event missed: {miss['cause']}')")
+    page.fill("#tti", miss["last"] - 1)
+    page.until(f"reveille.moment.tti === {miss['last'] - 1} && !{first}.includes('event {miss['event']} ')")
+    page.fill("#tti", miss["start"] - 1)
+    page.until(f"reveille.moment.tti === {miss['start'] - 1}")
+    page.push("#next-miss")
+    page.until(f"document.getElementById('miss-note').textContent.endsWith({json.dumps(miss['cause'])})")
+
+
+def check_singulars(page):
+    """A count of one has its noun in the singular, in the texts of the page and of the program."""
+    ones = page.value(
+        "fetch('api/events?from=0').then((a) => a.json()).then((all) => all.find((event) => event.reports === 1 && event.wake_ups !== 1)?.last)"
+    )
+    assert ones, "no event with one report"
+    page.fill("#tti", ones)
+    page.until(f"reveille.moment.tti === {ones} && /, 1 report, /.test(document.querySelector('#ticker li').textContent)")
+    wrong = page.value("document.body.innerText.match(/(?<![0-9.,])1 (reports|wake-ups|devices|TTIs|events|units|messages|wrong activations)\\b/g)")
+    assert not wrong, wrong
+
+
+def check_address(page):
+    """The address holds the shown TTI and the chosen device, and a changed address is followed."""
+    here = page.value("reveille.tti")
+    page.fill("#device", 5)
+    page.until(f"new RegExp('^#[^&]+&tti={here}&device=5$').test(location.hash)")
+    token = page.value("location.hash.slice(1).split('&')[0]")
+    page.value(f"window.isOld = true; location.hash = '#{token}&tti={here + 40}&device=9'")
+    page.until(f"reveille.moment.tti === {here + 40} && reveille.device === 9 && document.getElementById('one-title').textContent === 'Device 9'")
+    assert page.value("window.isOld"), "the page was loaded again"
+    # A reload opens the address as a link does.
+    page.call("Page.reload")
+    page.until(f"window.isOld === undefined && window.reveille?.moment?.tti === {here + 40} && reveille.device === 9", 30)
+    page.until("document.getElementById('state').textContent === 'paused' && !document.getElementById('one').hidden")
+    page.value(f"location.hash = '#{token}&tti=99999999'")
+    page.until("document.getElementById('miss-note').textContent === 'the run has not reached TTI 99999999' && reveille.device === -1")
+    page.push("#follow")
+    page.until(f"location.hash === '#{token}'")
+    page.fill("#tti", here)
+    page.until(f"reveille.moment.tti === {here}")
+
+
 def check_messages(page):
-    """The shown TTI comes first, and emulation messages are hidden; a message opens with its bytes."""
+    """The shown TTI comes first; emulation messages and quiet ones are hidden; a message opens with its bytes."""
     planes = "[...document.querySelectorAll('#messages tbody tr[data-id]')].map((line) => line.dataset.plane)"
     page.until(f"document.querySelector('#messages tbody tr').className === 'shown' && {planes}.length > 0")
     assert "emu" not in page.value(planes)
@@ -583,6 +663,14 @@ def check_messages(page):
     page.until(f"{planes}.includes('emu')")
     page.push("#filters [name=emulation]")
     page.until(f"!{planes}.includes('emu') && {planes}.length > 0")
+    # A `world` message of a TTI without an event has no news; after the TTI it names no event.
+    texts = "[...document.querySelectorAll('#messages tbody tr[data-id]')].map((line) => `${line.cells[2].textContent} ${line.cells[5].textContent}`)"
+    quiet = f"{texts}.filter((text) => /^world TTIs? [0-9]+( to [0-9]+)?$/.test(text)).length"
+    assert page.value(quiet) == 0, page.value(texts)
+    page.push("#filters [name=quiet]")
+    page.until(f"{quiet} > 0")
+    page.push("#filters [name=quiet]")
+    page.until(f"{quiet} === 0 && {planes}.length > 0")
     # The rows have one tab stop, and the arrows move it.
     tab_stops = "[...document.querySelectorAll('#messages tbody tr')].flatMap((line, nth) => (line.tabIndex === 0 ? [nth] : []))"
     first = page.value(tab_stops)
@@ -648,6 +736,8 @@ def check_shapes(page, pictures, name):
             if size == "phone" and page.value("reveille.run.controls"):
                 below = page.value("document.getElementById('clock').getBoundingClientRect().bottom <= document.getElementById('map').getBoundingClientRect().top")
                 assert below, "the clock is above the map"
+                clock = page.value("document.getElementById('time').getBoundingClientRect().height")
+                assert clock <= 110, f"the clock takes {clock} pixels"
             if pictures:
                 page.picture(pictures / f"{name}-{size}-{scheme}.png")
 

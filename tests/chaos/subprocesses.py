@@ -289,7 +289,7 @@ def read_summary(folder):
 
 def takeover_times(text):
     """Parses a base station's log: seconds until another process took over, for each lost host."""
-    return [float(seconds) for seconds in re.findall(r"run again after ([\d.]+) s", text)]
+    return [float(seconds) for seconds in re.findall(r"had no host for ([\d.]+) s", text)]
 
 
 def digest_in_memory(reveille, scenario, folder):

@@ -30,7 +30,7 @@ fn assert_scenario_refused(folder: &TestFolder, options: &str, files: &[&str], p
 fn an_unknown_field_is_named_with_its_line() {
     let folder = TestFolder::new();
     folder.write("my.toml", "devices = 30\n[sensing]\ndmax = 5\n");
-    let parts = ["sensing.dmax", "my.toml, line 3", "did you mean `d_max`"];
+    let parts = ["sensing.dmax", "my.toml, line 3", "did you mean `sensing.d_max`"];
     assert_scenario_refused(&folder, "--scenario my.toml", &["my.toml"], &parts);
 }
 
@@ -601,4 +601,21 @@ fn an_unread_message_leaves_the_exit_code() {
             .expect("the program starts");
         assert_eq!(status.code(), Some(code), "{args}");
     }
+}
+
+#[cfg(not(feature = "tls"))]
+#[test]
+fn a_build_without_tls_names_the_feature() {
+    let folder = TestFolder::new();
+    for (line, code) in [
+        ("tls init certs", 2),
+        ("tls show certs", 2),
+        ("device --run x --connect tls/127.0.0.1:1 --tls certs", 2),
+        ("bs --run x --listen tls/127.0.0.1:0", 1),
+    ] {
+        let refused = folder.run(line);
+        assert_eq!(refused.code(), Some(code), "{line}: {refused}");
+        assert!(refused.stderr.contains("--features tls"), "{line}: {refused}");
+    }
+    assert_untouched(&folder, &[]);
 }

@@ -133,6 +133,66 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
 }
 
 #[test]
+fn causes_of_missed_events_are_shown_and_few_of_them_have_no_interval() {
+    let folder = TestFolder::new();
+    let summaries = [
+        run(&folder, "few", "-n 50 --policy age-index"),
+        run(&folder, "many", "-n 50 --policy age-index --set radio.uplink_loss=0.4"),
+    ];
+    let missed = |summary: &Value| summary["totals"]["events"]["misdetected"].as_u64().expect("a count");
+    assert!((1..10).contains(&missed(&summaries[0])), "{}", summaries[0]);
+    assert!(missed(&summaries[1]) >= 10, "{}", summaries[1]);
+    let finished = folder.run("compare few many");
+    let lines: Vec<&str> = finished.stdout.lines().collect();
+    let row = lines
+        .iter()
+        .position(|line| line.starts_with("misdetection_pct "))
+        .expect("a row");
+    // The columns of a run have 17 columns, after 28 of the name.
+    let cells = |line: &str| {
+        let characters: Vec<char> = line.chars().collect();
+        [&characters[28..45], &characters[45..]].map(|cell| cell.iter().collect::<String>())
+    };
+    let [few, many] = cells(lines[row]);
+    assert!(!few.contains('±') && many.contains('±'), "{finished}");
+    assert!(
+        lines[row + 1].contains('+') && !lines[row + 1].contains('%'),
+        "{finished}"
+    );
+    let causes: Vec<&str> = finished
+        .stdout
+        .lines()
+        .filter_map(|line| {
+            line.strip_prefix("  missed_")?
+                .split_once("_pct ")
+                .map(|(cause, _)| cause)
+        })
+        .collect();
+    let nonzero = |cause: &&str| {
+        summaries
+            .iter()
+            .any(|summary| summary["metrics"][format!("missed_{cause}_pct")] != 0.0)
+    };
+    assert!(causes.contains(&"lost") && causes.iter().all(nonzero), "{finished}");
+    let all_causes = summaries[0]["totals"]["missed"].as_object().expect("causes");
+    let nonzero_count = all_causes.keys().filter(|cause| nonzero(&cause.as_str())).count();
+    assert_eq!(causes.len(), nonzero_count, "{finished}");
+    // No name touches its value.
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.starts_with("wrong_activations_per_event ")),
+        "{finished}"
+    );
+    let report: Value = serde_json::from_str(&folder.run("compare few many --json").stdout).expect("JSON");
+    assert_eq!(report["runs"][0]["half_widths"]["misdetection_pct"], Value::Null);
+    assert!(
+        report["runs"][1]["half_widths"]["misdetection_pct"].is_number(),
+        "{report}"
+    );
+}
+
+#[test]
 fn actions_and_the_sides_of_a_difference_are_named() {
     let folder = TestFolder::new();
     folder.write(
@@ -229,6 +289,7 @@ fn a_recording_is_found_in_its_run_folder() {
         let finished = folder.run(&format!("inspect {command}"));
         assert!(finished.is_success(), "{command}: {finished}");
     }
+    assert!(folder.join("a/run.csv").is_file(), "named after the recording");
     let finished = folder.run("inspect stats --from a/run.mcap");
     assert!(
         finished.is_success() && finished.stderr.contains("--from FILE is now the argument FILE"),

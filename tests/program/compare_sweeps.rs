@@ -46,6 +46,24 @@ fn assert_interval(row: &Value, differences: &[f64]) {
     }
 }
 
+/// Half the width of the interval of the ratio of the means of `policy` and knn, from the moments of both and their
+/// covariance: (s_a² - 2 r s_ab + r² s_b²) / (n b²), with r = a / b.
+fn ratio_half_width(values: &MetricValues, policy: &str, n: u32) -> f64 {
+    let of_policy =
+        |policy: &str| -> Vec<f64> { (1..=SEEDS).map(|seed| values[&(policy.to_owned(), n, seed)]).collect() };
+    let (a, b) = (of_policy(policy), of_policy("knn"));
+    let count = SEEDS as f64;
+    let mean = |list: &[f64]| list.iter().sum::<f64>() / count;
+    let covariance = |x: &[f64], y: &[f64]| {
+        let (mean_x, mean_y) = (mean(x), mean(y));
+        let products = x.iter().zip(y).map(|(x, y)| (x - mean_x) * (y - mean_y));
+        products.sum::<f64>() / (count - 1.0)
+    };
+    let ratio = mean(&a) / mean(&b);
+    let variance = covariance(&a, &a) - 2.0 * ratio * covariance(&a, &b) + ratio * ratio * covariance(&b, &b);
+    T_QUANTILE * (variance / count).sqrt() / mean(&b)
+}
+
 #[test]
 fn differences_of_policies_equal_those_of_the_table() {
     let folder = TestFolder::new();
@@ -69,6 +87,9 @@ fn differences_of_policies_equal_those_of_the_table() {
             .map(|seed| values[&(policy.to_owned(), n, seed)] - values[&("knn".to_owned(), n, seed)])
             .collect();
         assert_interval(row, &differences);
+        let ratios = ratio_half_width(&values, policy, n);
+        let share_half_width = row["share_half_width"].as_f64().expect("a number");
+        assert!((share_half_width - ratios).abs() < 1e-5 * ratios, "{row}: {ratios}");
         assert_eq!((&row["seeds"], &row["paired"]), (&SEEDS.into(), &true.into()));
     }
     let by_default = folder.run("compare s/results.csv");
@@ -173,6 +194,28 @@ fn sweeps_are_compared_by_policy_and_n() {
         1,
         &["but other settings in another table"],
     );
+}
+
+#[test]
+fn fields_of_a_scenario_file_are_named() {
+    let folder = TestFolder::new();
+    let finished = folder.run("run -k 100 -n 20 --set events.alpha=0.3 --set harvest.lambda=0.05 --quiet --out base");
+    assert!(finished.is_success(), "{finished}");
+    // The run folder's scenario has all fields; only those that differ from the preset are changes.
+    for (out, source) in [("file", "-s base/scenario.toml"), ("preset", "-s paper")] {
+        let finished = folder.run(&format!(
+            "sweep {source} -p knn,random -n 20 -k 500 --seeds 3 --set radio.uplink_loss=0.1 --quiet --out {out}"
+        ));
+        assert!(finished.is_success(), "{finished}");
+    }
+    std::fs::remove_dir_all(folder.path().join("base")).expect("the run folder");
+    let finished = folder.run("compare preset file --metric info_p1");
+    for part in [
+        "they differ in: events.alpha = 0.2 | 0.3, harvest.lambda = 0.1 | 0.05\n",
+        "paper, events.alpha = 0.3, harvest.lambda = 0.05, radio.uplink_loss = 0.1",
+    ] {
+        assert!(finished.stdout.contains(part), "no {part:?}: {finished}");
+    }
 }
 
 #[test]

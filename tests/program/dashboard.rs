@@ -32,7 +32,7 @@ impl DashboardPage {
         let url = stderr
             .split("http://")
             .nth(1)
-            .and_then(|rest| rest.split([';', '\n']).next())
+            .and_then(|rest| rest.split('\n').next())
             .expect("an address");
         let (address, token) = url.trim().split_once("/#").expect("a token");
         Self {

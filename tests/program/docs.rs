@@ -243,6 +243,13 @@ fn every_link_resolves() {
 }
 
 #[test]
+fn the_page_of_the_policy_port_shows_the_client_in_full() {
+    let page = fs::read_to_string(root().join("docs/policy-port.md")).expect("a page");
+    let client = fs::read_to_string(root().join("deploy/examples/client.py")).expect("a program");
+    assert!(page.contains(&format!("```python\n{client}```\n")));
+}
+
+#[test]
 fn links_and_anchors_are_read_as_on_the_site() {
     let page = "# `a` and B!\n```\n# code [no](no.md)\n```\n## Same\n## Same\n\
         [x](y.md#z) <img src=\"p.svg\"> [w](https://e.org)";

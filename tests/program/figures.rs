@@ -32,6 +32,7 @@ fn pictures_of_one_run_are_reproducible() {
     for out in ["a", "b"] {
         for picture in [
             "deployment -n 30 -k 500",
+            "deployment -n 30 -k 500 --event none",
             "attention -n 30 -k 500 --tti 200 --show 3,4",
             "timeline -n 30 -k 500 --show 3,7 --from 100 --length 60",
         ] {
@@ -41,7 +42,7 @@ fn pictures_of_one_run_are_reproducible() {
     }
     let names = folder.list("a");
     // An SVG and a PNG file for each picture, and the table of the attention.
-    assert_eq!(names.len(), 7, "{names:?}");
+    assert_eq!(names.len(), 9, "{names:?}");
     for name in names {
         assert_same(&folder, &name);
     }
@@ -74,7 +75,7 @@ fn invalid_figure_requests_are_refused() {
         ("timeline --show -1", "a whole number from 0"),
         ("timeline --show 3,-1", "a whole number from 0"),
         ("timeline --from -1", "a whole number from 0"),
-        ("deployment --event -1", "a whole number from 0"),
+        ("deployment --event -1", "none or a whole number from 0"),
     ] {
         let finished = folder.run(&format!("figures {args} --out out"));
         assert_eq!(finished.code(), Some(2), "{finished}");
@@ -306,6 +307,15 @@ fn a_user_sweep_is_drawn_against_its_field() {
     for name in names {
         assert_same(&folder, &name);
     }
+    let finished = folder
+        .run("figures sweep mine --x harvest.lambda --where devices=10 --y info_p1,mean_battery --format svg --out e");
+    assert_eq!(finished.code(), Some(0), "{finished}");
+    let [battery, information] = ["mean_battery", "info_p1"].map(|metric| format!("sweep-{metric}-harvest.lambda.svg"));
+    let names = folder.list("e");
+    assert!(
+        names.len() == 4 && names.contains(&battery) && names.contains(&information),
+        "{names:?}"
+    );
     // Without `sweep`, the runs with the preset's value of the field have the paper's figures. The field has figures of
     // four metrics, for two numbers of devices.
     let finished = folder.run("figures mine --format svg --out d");
@@ -341,6 +351,7 @@ fn a_user_sweep_is_drawn_against_its_field() {
         ("--where devices", &["FIELD=VALUE"][..]),
         ("--y speed", &["'speed'", "info_p1"]),
         ("--y info", &["a similar value exists: 'info_p1'"]),
+        ("--y info_p1,speed", &["'speed'", "info_p1"]),
     ] {
         let finished = folder.run(&format!("figures sweep mine --x harvest.lambda {args}"));
         assert_refused(&finished, 2, parts);
@@ -365,8 +376,12 @@ fn a_picture_replaces_an_earlier_one() {
 #[test]
 fn tables_with_equal_file_names_give_separate_pictures() {
     let folder = TestFolder::new();
-    folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
-    folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
+    // Tables do not hold scenario files, so they cannot identify a field that names one.
+    for (name, trace) in [("mine", "1\n3"), ("other", "2\n1")] {
+        folder.write(&format!("{name}.csv"), &format!("a\n{trace}\n"));
+        let harvest = format!("[harvest]\nkind = \"trace\"\ntrace = {{ file = \"{name}.csv\", column = \"a\" }}\n");
+        folder.write(&format!("{name}.toml"), &harvest);
+    }
     run_sweep(&folder, "a", "--scenario mine.toml");
     run_sweep(&folder, "b", "--scenario other.toml");
     let finished = folder.run("figures a/results.parquet b/results.parquet --only energy --out out");
@@ -408,14 +423,14 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     folder.write("empty.csv.toml", &empty_sidecar);
     folder.write("later.csv", &text);
     // The version after `TABLE_VERSION` in `lab/src/table/error.rs`.
-    let later_sidecar = sidecar.replace("\"reveille.table\" = \"4\"", "\"reveille.table\" = \"5\"");
+    let later_sidecar = sidecar.replace("\"reveille.table\" = \"5\"", "\"reveille.table\" = \"6\"");
     assert_ne!(later_sidecar, sidecar);
     folder.write("later.csv.toml", &later_sidecar);
     for command in ["figures", "report"] {
         let finished = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&finished, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
         let finished = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&finished, 1, &["later.csv", "version 5"]);
+        assert_refused(&finished, 1, &["later.csv", "version 6"]);
         assert!(!folder.join("out").exists());
     }
 }

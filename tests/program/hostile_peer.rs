@@ -6,6 +6,8 @@
 //! The access rules of `common/src/bus/access.rs` stop forged messages to hosts. `tests/untrusted_clients/` tests
 //! clients without the secret. A new kind of message needs an entry in [`forged_messages`].
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
@@ -16,13 +18,15 @@ use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
 use reveille_common::keys::KeyExprs;
 use reveille_common::message::{
     ActRequest, BusCredentials, Change, ClockCommand, ClockMessage, DeviceRange, FailedTransmission, GrantMessage,
-    HostAnswer, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, WakeUp,
+    HostAnswer, HostOffer, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, UnableDetectors, WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::secret::{HostCredential, Secret};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_tests::process::{PATIENCE, Process, SummaryJson, TestFolder, ask, free_endpoint, unique_run};
+
+use crate::router::Router;
 
 /// Opens a bus session for a hostile peer.
 async fn connect_peer(endpoint: &str, run: &str) -> Bus {
@@ -38,7 +42,7 @@ async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     let bus = connect_peer(endpoint, run).await;
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        count: 1,
+        offer: HostOffer::AtMost(1),
         nonce: 99,
         name: "a revoked host".to_owned(),
     };
@@ -55,17 +59,27 @@ async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     (bus, credential)
 }
 
-/// Starts a paused run of 30 devices, with a TTI every 3 ms, the run folder `out` and two device processes, hosts 1 and
-/// 2. Returns the base station, the device processes, and the session and credential of a [`revoked_host`].
-async fn start_run_with_revoked_host(
-    folder: &TestFolder,
-    run: &str,
-    ttis: u32,
-) -> (Process, [Process; 2], Bus, HostCredential) {
+/// A run with a [`revoked_host`].
+struct AttackedRun {
+    bs: Process,
+    /// Two device processes, hosts 1 and 2.
+    hosts: [Process; 2],
+    /// Session and credential of the revoked host.
+    bus: Bus,
+    credential: HostCredential,
+    /// The router to which the hosts and the revoked host connect, if any.
+    router: Option<Router>,
+}
+
+/// Starts a paused run of 30 devices, with a TTI every 3 ms and the run folder `out`; hosts connect to the base station
+/// or to a router.
+async fn start_attacked_run(folder: &TestFolder, run: &str, ttis: u32, has_router: bool) -> AttackedRun {
     let endpoint = free_endpoint();
     let pace = "--pace 3ms --paused --out out";
     let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
     bs.wait_for_stderr("waiting for 30 devices");
+    let router = has_router.then(|| Router::start(folder, run, &endpoint));
+    let endpoint = router.as_ref().map_or(endpoint, |router| router.endpoint.clone());
     let (bus, credential) = revoked_host(&endpoint, run).await;
     bs.wait_for_stderr("left before the run began");
     let hosts = [15, 15].map(|count| {
@@ -74,7 +88,13 @@ async fn start_run_with_revoked_host(
         host
     });
     folder.wait_for_tti(run, 0);
-    (bs, hosts, bus, credential)
+    AttackedRun {
+        bs,
+        hosts,
+        bus,
+        credential,
+        router,
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
@@ -84,7 +104,7 @@ async fn a_join_request_of_another_version_or_format_is_refused() {
     let bus = connect_peer(&endpoint, &run).await;
     let request = JoinRequest {
         version: "0.0.9".to_owned(),
-        count: 1,
+        offer: HostOffer::AtMost(1),
         nonce: 1,
         name: String::new(),
     };
@@ -132,7 +152,14 @@ fn invalid_payloads() -> Vec<Vec<u8>> {
 async fn invalid_payloads_on_every_key_change_nothing() {
     let (folder, run) = (TestFolder::new(), unique_run("invalid"));
     let expected = folder.summary("run -n 30 -k 1200");
-    let (bs, hosts, bus, credential) = start_run_with_revoked_host(&folder, &run, 1200).await;
+    let attacked = start_attacked_run(&folder, &run, 1200, false).await;
+    let AttackedRun {
+        bs,
+        hosts,
+        bus,
+        credential,
+        ..
+    } = attacked;
     let tail = folder.start(&format!("inspect tail --run {run}"));
     let keys = bus.key_exprs();
     let mut all_keys: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
@@ -238,7 +265,7 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
             device: DeviceId(0),
             drained_energy: Energy::from_micro(drained_micro),
         }],
-        unpowered: 0,
+        unable: UnableDetectors::default(),
         totals: Some(DeviceTotals::default()),
         views: None,
     };
@@ -293,12 +320,37 @@ fn forged_messages(keys: &KeyExprs, credential: HostCredential, tti: u64) -> Vec
     messages
 }
 
-/// Messages for the open TTI from a peer that knows all keys but has no valid credential change nothing.
-#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn forged_messages_change_nothing() {
+/// Messages for the open TTI from a peer that knows all keys but has no valid credential change nothing, and the peer
+/// receives no reports, whose keys have the tokens of hosts.
+async fn check_forged_messages(has_router: bool) {
     let (folder, run) = (TestFolder::new(), unique_run("forged"));
     let expected = folder.summary("run -n 30 -k 600");
-    let (bs, hosts, bus, credential) = start_run_with_revoked_host(&folder, &run, 600).await;
+    let attacked = start_attacked_run(&folder, &run, 600, has_router).await;
+    let AttackedRun {
+        bs,
+        hosts,
+        bus,
+        credential,
+        router,
+    } = attacked;
+    let received_reports = Arc::new(AtomicU32::new(0));
+    let report_counter = Arc::clone(&received_reports);
+    // A separate session: a session receives its own messages.
+    let spy = connect_peer(bus.endpoint(), &run).await;
+    let _spied = spy
+        .subscribe_raw(bus.key_exprs().uplinks(MessageKind::Report), move |_| {
+            report_counter.fetch_add(1, Ordering::Relaxed);
+        })
+        .expect("subscribed");
+    // Replies to operators, which show the key of the run.
+    let _served = bus
+        .serve_with_secret(|_: ClockCommand, _| Err("forged".to_owned()))
+        .expect("served");
+    let _alive = bus.declare_alive(bus.key_exprs().bs_liveliness()).expect("declared");
+    if let Some(router) = &router {
+        let status = folder.run(&format!("clock status --run {run} --connect {}", router.endpoint));
+        assert!(status.is_success(), "{status}");
+    }
     folder.clock(&run, "resume");
     for tti in 0..600 {
         for (key, payload) in forged_messages(bus.key_exprs(), credential, tti) {
@@ -315,6 +367,17 @@ async fn forged_messages_change_nothing() {
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.unexpected_messages") > 0, "{summary:?}");
     assert!(hosts.into_iter().all(|host| host.finish().is_success()));
+    assert_eq!(received_reports.load(Ordering::Relaxed), 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn forged_messages_change_nothing() {
+    check_forged_messages(false).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn forged_messages_behind_a_router_change_nothing() {
+    check_forged_messages(true).await;
 }
 
 /// A client without the run's key can neither stop its clock nor act on its devices nor run them.
@@ -349,7 +412,7 @@ async fn a_client_without_the_key_cannot_command_or_join() {
     }
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        count: 30,
+        offer: HostOffer::AtMost(30),
         nonce: 5,
         name: String::new(),
     };

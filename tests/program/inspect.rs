@@ -179,7 +179,16 @@ fn the_status_of_a_waiting_run_names_the_lost_hosts() {
     bs.wait_for_stderr("the run is waiting");
     let status = folder.clock(&run, "status");
     assert!(status.starts_with("waiting at TTI "), "{status}");
-    assert!(status.contains(": lost host 1 (devices 25 to 49)"), "{status}");
+    assert!(
+        status.contains(": lost host 1 (devices 25 to 49, the process with pid "),
+        "{status}"
+    );
+    let hosts = folder.clock(&run, "status --hosts");
+    let lines: Vec<&str> = hosts.lines().collect();
+    assert!(
+        lines.len() == 3 && lines[1].contains("(devices 0 to 24, ") && lines[2].ends_with(" (lost)"),
+        "{hosts}"
+    );
     let small_host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 24"));
     small_host.wait_for_stderr("lost hosts left 25 devices");
     bs.signal(Signal::INT);

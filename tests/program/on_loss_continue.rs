@@ -56,7 +56,9 @@ fn a_run_with_removed_devices_can_be_repeated() {
 
     let other_seed = folder.run(&format!("run {scenario} --seed 2 --input-log out/inputs.log"));
     assert!(
-        other_seed.code() == Some(1) && other_seed.stderr.contains("another scenario or seed"),
+        other_seed.code() == Some(1)
+            && other_seed.stderr.contains("another scenario or seed")
+            && other_seed.stderr.contains("leave out the other scenario options"),
         "{other_seed}"
     );
     std::fs::write(folder.join("invalid.log"), "no log\n").expect("writable");

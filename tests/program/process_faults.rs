@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use reveille_common::bus::Bus;
-use reveille_common::message::{ClockMessage, JoinReply, JoinRequest, PlanUpdate, Ready};
+use reveille_common::message::{ClockMessage, HostOffer, JoinReply, JoinRequest, PlanUpdate, Ready};
 use reveille_tests::process::{
     FinishedProcess, PATIENCE, Process, SummaryJson, TestFolder, ask, free_endpoint, hosts_of, now, send_signal,
     unique_run, wait_until,
@@ -28,7 +28,7 @@ const FREEZE_LIMIT: Duration = Duration::from_secs(8);
 fn assert_lost(finished: &FinishedProcess, since: Instant, limit: Duration) {
     let elapsed = since.elapsed();
     assert_eq!(finished.code(), Some(1), "{finished}");
-    for part in ["lost host", "with devices ", " at TTI "] {
+    for part in ["lost host", "(devices ", " at TTI "] {
         assert!(finished.stderr.contains(part), "no {part:?}: {finished}");
     }
     assert_eq!(
@@ -109,7 +109,7 @@ fn a_killed_device_process_ends_bs_and_is_named() {
     host_0.signal(Signal::KILL);
     let finished = bs.finish();
     assert_lost(&finished, since, DETECTION_LIMIT);
-    assert!(finished.stderr.contains("host 0 with devices 0 to 9 "), "{finished}");
+    assert!(finished.stderr.contains("host 0 (devices 0 to 9, "), "{finished}");
     let host_1 = host_1.finish();
     assert_eq!(host_1.code(), Some(1), "the other hosts fail too: {host_1}");
     assert!(host_1.stderr.contains("the run has failed: lost host 0"), "{host_1}");
@@ -296,7 +296,7 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
         .expect("the BS listens");
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        count: 30,
+        offer: HostOffer::AtMost(30),
         nonce: 7,
         name: "a test".to_owned(),
     };

@@ -3,10 +3,11 @@
 //! message. JSON keys are from `view/src/frame_line.rs` and `deploy/src/commands/inspect/stats.rs`. `tests/recordings/`
 //! reads recordings and exports with other programs.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{TestFolder, assert_refused, unique_run};
+use reveille_tests::process::{SummaryJson, TestFolder, assert_refused, unique_run};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -52,6 +53,21 @@ fn memory_and_bus_record_the_same_messages() {
     );
 }
 
+#[test]
+fn states_are_recorded_at_equal_intervals_also_in_long_grants() {
+    let folder = TestFolder::new();
+    // Few events, so that grants are longer than the interval.
+    let options = "-p age-index -n 20 -k 300 --set events.alpha=0.01 --record-states 7 --quiet";
+    let expected: Vec<u64> = (0..300).step_by(7).collect();
+    for (file, command) in [("memory.mcap", "run"), ("bus.mcap", "up -P 2")] {
+        let finished = folder.run(&format!("{command} {options} --record {file}"));
+        assert!(finished.is_success(), "{finished}");
+        let states = shown_messages(&folder, &format!("--kind states {file}"));
+        let ttis: Vec<u64> = states.iter().filter_map(|message| message["tti"].as_u64()).collect();
+        assert_eq!(ttis, expected, "{command}");
+    }
+}
+
 /// Checks that `run` and `up` with these options record the same `air` and `truth` messages, and that their recordings
 /// can be verified. The options contain `--quiet`, so that the output is the digest.
 fn assert_same_recordings(options: &str) {
@@ -80,6 +96,16 @@ fn assert_same_recordings(options: &str) {
             "{plane}: {} and {}",
             memory.len(),
             bus.len()
+        );
+    }
+    // The last exchange of a run over the bus is no TTI.
+    for name in ["memory", "bus", "one-process"] {
+        let stats: Value =
+            serde_json::from_str(&folder.run(&format!("inspect stats {name}.mcap --json")).stdout).expect("JSON");
+        assert_eq!(
+            stats["ttis"],
+            SummaryJson::read(&folder.join(name)).number("ttis_done"),
+            "{name}"
         );
     }
     let without_lookahead = shown_messages(&folder, "one-process.mcap --plane air");
@@ -181,7 +207,7 @@ fn a_killed_run_leaves_a_readable_recording() {
     let finished = folder.run("inspect verify r.mcap");
     assert_eq!(finished.code(), Some(1), "{finished}");
     assert!(
-        finished.stdout.contains("are consistent") && finished.stderr.contains("truncated"),
+        finished.stdout.ends_with("are consistent up to the cut\n") && finished.stderr.contains("truncated"),
         "{finished}"
     );
     let finished = folder.run("inspect tail r.mcap --kind event -c 5");
@@ -219,6 +245,13 @@ fn invalid_recordings_are_refused() {
         1,
         &["nowhere/r.mcap"],
     );
+    // The run creates its folder, and no other one.
+    let inside = folder.run("run -n 10 -k 200 --record in/r.mcap --quiet --out in");
+    assert!(inside.is_success(), "{inside}");
+    let stats = |file: &str| folder.run(&format!("inspect stats {file} --json")).stdout;
+    assert_eq!(stats("in"), stats("in/r.mcap"));
+    let again = folder.run("run -n 10 -k 200 --record in/r.mcap --quiet --out in --force");
+    assert_eq!(again.stdout, inside.stdout, "{again}");
     folder.write("text.mcap", "a text");
     folder.write("empty.mcap", "");
     let bytes = folder.bytes("r.mcap");
@@ -289,6 +322,106 @@ fn observers_that_join_early_and_late_record_the_same_run() {
         assert_refused(&finished, 1, &["no summary"]);
     }
     assert!(shown_messages(&folder, "late.mcap --plane air") == shown_messages(&folder, "early.mcap --plane air"));
+}
+
+/// Reads a CSV table: for each row the cells by column.
+fn read_table(folder: &TestFolder, name: &str) -> Vec<BTreeMap<String, String>> {
+    let text = String::from_utf8(folder.bytes(name)).expect("text");
+    let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned));
+    let columns: Vec<String> = lines.next().expect("a header").collect();
+    lines
+        .map(|cells| columns.iter().cloned().zip(cells).collect())
+        .collect()
+}
+
+#[test]
+fn the_table_of_devices_agrees_with_the_tables_of_the_run() {
+    const SUMS: [&str; 5] = [
+        "sensing_units",
+        "sleep_units",
+        "report_units",
+        "harvested_units",
+        "overflow_units",
+    ];
+    const MEANS: [&str; 5] = [
+        "energy_sensing_per_device_tti",
+        "energy_sleep_per_device_tti",
+        "energy_report_per_device_tti",
+        "harvested_per_device_tti",
+        "overflow_per_device_tti",
+    ];
+    let folder = TestFolder::new();
+    folder.write("script", "150 fail 3-5 for 200\n400 energy all 2.5\n420 fail 0\n");
+    let scenario = "-n 20 -k 600 -p knn --set harvest.lambda=0.05 --set radio.false_wake_up=0.01";
+    for command in ["run", "up -P 2"] {
+        let options = "--actions script --record o/r.mcap --out o --force --quiet";
+        let finished = folder.run(&format!("{command} {scenario} {options}"));
+        assert!(finished.is_success(), "{finished}");
+        let finished = folder.run("inspect export o --to devices --every 1 --force");
+        assert!(finished.is_success(), "{finished}");
+        let rows = read_table(&folder, "o/r.devices.csv");
+        assert_eq!(rows.len(), 20 * 600);
+        let number = |row: &BTreeMap<String, String>, column: &str| -> f64 { row[column].parse().expect(column) };
+        // The tables over the measured TTIs, which begin with TTI 60.
+        for (device, row) in read_table(&folder, "o/devices.csv").iter().enumerate() {
+            let [before, last] = [59, 599].map(|tti| &rows[20 * tti + device]);
+            assert_eq!((&last["tti"][..], &last["device"]), ("599", &row["device"]));
+            assert_eq!(last["battery_units"], row["final_battery"]);
+            assert_eq!(before["battery_units"], row["start_battery"]);
+            for column in SUMS {
+                let difference = number(last, column) - number(before, column);
+                assert!(
+                    (difference - number(row, column)).abs() < 1e-6,
+                    "{column} of device {device}"
+                );
+            }
+        }
+        let (mut checked, total) = (0, |tti: i64, column: &str| -> f64 {
+            // Nothing is spent before TTI 0.
+            usize::try_from(tti).map_or(0.0, |tti| {
+                rows[20 * tti..20 * (tti + 1)]
+                    .iter()
+                    .map(|row| number(row, column))
+                    .sum()
+            })
+        });
+        for window in read_table(&folder, "o/windows.csv") {
+            let [first, end] = ["first_tti", "end_tti"].map(|column| number(&window, column) as i64);
+            let device_ttis = 20.0 * (end - first) as f64;
+            let battery: f64 = (first..end).map(|tti| total(tti, "battery_units")).sum();
+            assert!(
+                (battery / device_ttis - number(&window, "mean_battery")).abs() < 1e-6,
+                "{first}"
+            );
+            for (column, mean) in SUMS.into_iter().zip(MEANS) {
+                let sum = total(end - 1, column) - total(first - 1, column);
+                assert!(
+                    (sum / device_ttis - number(&window, mean)).abs() < 1e-6,
+                    "{mean} from {first}"
+                );
+            }
+            checked += 1;
+        }
+        assert_eq!(checked, 100);
+        let state_of = |row: &BTreeMap<String, String>| format!("{} {}", row["state"], row["powered"]);
+        let states: BTreeSet<String> = rows.iter().map(state_of).collect();
+        let expected = ["S1 1", "S3 1", "S4 0", "S4 1", "failed 0"].map(str::to_owned);
+        assert_eq!(states, BTreeSet::from(expected));
+        let failed = rows.iter().filter(|row| row["state"] == "failed").count();
+        assert_eq!(failed, 3 * 200 + 180);
+    }
+    // By default a hundredth of the run, and always the last TTI.
+    let exported = |options: &str| {
+        let finished = folder.run(&format!("inspect export o --to devices {options} --force"));
+        assert!(finished.is_success(), "{finished}");
+        let rows = read_table(&folder, "o/r.devices.csv");
+        rows.iter()
+            .step_by(20)
+            .map(|row| row["tti"].parse().expect("a TTI"))
+            .collect::<Vec<u64>>()
+    };
+    assert_eq!(exported(""), (5..600).step_by(6).collect::<Vec<_>>());
+    assert_eq!(exported("--every 250"), [249, 499, 599]);
 }
 
 #[test]

@@ -44,6 +44,40 @@ fn entries_are_private() {
     assert_eq!(bs.finish().code(), Some(130));
 }
 
+#[test]
+fn an_ended_base_station_is_reported_with_the_command_that_resumes_its_run() {
+    let (folder, run) = (TestFolder::new(), unique_run("ended"));
+    let scenario = "-P 1 -n 5 -k 200";
+    let up = folder.start(&format!("up {scenario} --paused --quiet --run {run} --out out"));
+    folder.wait_for_clock(&run);
+    let entry_path = format!("{REGISTRY}/{}", folder.list(REGISTRY)[0]);
+    let entry: serde_json::Value = serde_json::from_slice(&folder.bytes(&entry_path)).expect("JSON");
+    let endpoint = entry["endpoint"].as_str().expect("an endpoint").to_owned();
+    up.signal(Signal::KILL);
+    // Without `finish`, which waits for the process, it stays a zombie.
+    let hint = format!("reveille up --resume {}", folder.join("out").display());
+    for command in [
+        format!("clock status --run {run}"),
+        "clock status".to_owned(),
+        format!("clock resume --run {run} --connect {endpoint}"),
+        "inspect tail".to_owned(),
+    ] {
+        let finished = wait_until("the end of the base station", PATIENCE, || {
+            let finished = folder.run(&command);
+            finished.stderr.contains("has ended").then_some(finished)
+        });
+        assert_refused(&finished, 1, &[&format!("run {run}: its base station"), &hint]);
+    }
+    up.finish();
+    let resumed = folder.run(&format!("up --resume out -P 1 --quiet --run {run}"));
+    assert!(resumed.is_success(), "{resumed}");
+    assert_refused(&folder.run("clock status"), 1, &["no run on this machine"]);
+    assert!(
+        folder.list(REGISTRY).is_empty(),
+        "the entry of the killed process is removed"
+    );
+}
+
 /// Checks that `clock` and `inspect` refuse the registry because of `why`, and that a run warns, continues and does not
 /// write to it. If the registry is a folder, it holds a valid entry meanwhile.
 fn assert_not_trusted(folder: &TestFolder, why: &str) {

@@ -287,11 +287,11 @@ fn tables_of_another_version_or_format_are_not_merged() {
     // The version after `TABLE_VERSION` in `lab/src/table/error.rs`.
     fs::write(
         &side_car,
-        text.replace("\"reveille.table\" = \"4\"", "\"reveille.table\" = \"5\""),
+        text.replace("\"reveille.table\" = \"5\"", "\"reveille.table\" = \"6\""),
     )
     .expect("written");
     let finished = folder.run("merge s1 s2 --out m.csv");
-    assert_refused(&finished, 1, &["s2/results.csv", "version 5", "reads versions 1 to 4"]);
+    assert_refused(&finished, 1, &["s2/results.csv", "version 6", "reads versions 1 to 5"]);
     fs::write(&side_car, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side_car, text).expect("written");
@@ -334,7 +334,7 @@ fn invalid_experiments_are_refused_before_the_first_run() {
         ("--grid harvest.lambda=", &["harvest.lambda = []", "no runs"]),
         (
             "--grid harvest.lamda=1,2",
-            &["harvest.lamda", "did you mean `lambda`", "--grid harvest.lamda"],
+            &["harvest.lamda", "did you mean `harvest.lambda`", "--grid harvest.lamda"],
         ),
         ("--devices 10,20,0", &["devices = 0", "at least 1", "--devices"]),
         ("--policies knn,kmm", &["policy.name", "kmm"]),

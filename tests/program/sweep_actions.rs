@@ -8,7 +8,7 @@ use serde_json::Value;
 
 /// Random times follow from the seed, so they differ between the runs of a cell. Texts of refusals below repeat its
 /// lines.
-const SCRIPT: &str = "# stress\nfrom 0 every 100 fail 0-4 for 20 at random\n300 set events.alpha 0.2\n";
+const SCRIPT: &str = "# stress\nfrom 100 every 100 fail 0-4 for 20 at random\n300 set events.alpha 0.2\n";
 /// Options of a sweep of 12 runs: two policies, two numbers of devices and three seeds.
 const GRID: &str = "--policies knn,random --devices 8,12 --ttis 600 --seeds 3 --first-seed 5";
 
@@ -115,7 +115,7 @@ fn a_sweep_with_another_script_is_not_resumed_or_reused() {
     assert!(
         with_same_script
             .stdout
-            .contains("\nactions of every run: from 0 every 100 fail 0-4 for 20 at random; 300 set\n")
+            .contains("\nactions of every run: from 100 every 100 fail 0-4 for 20 at random; 300 set\n")
     );
     // Options of different lengths, which name the folders.
     for (actions, reused) in [("", 0), ("--actions other", 0), ("--actions script", 12)] {

@@ -3,7 +3,7 @@
 //! kills and resume marks, a second apart, come before their end.
 
 use reveille_tests::process::{
-    PATIENCE, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+    PATIENCE, SummaryJson, TestFolder, assert_refused, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
@@ -30,7 +30,7 @@ fn check_takeovers(scenario: &str, kill_count: usize) {
     }
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");
-    assert!(finished.stderr.contains("run again after"), "{finished}");
+    assert!(finished.stderr.contains("had no host for"), "{finished}");
     let summary = finished.summary();
     assert_eq!(summary.digest(), expected.digest());
     assert_eq!(summary.number("timing.losses"), kill_count as u64, "{finished}");
@@ -64,7 +64,7 @@ fn a_process_with_spare_capacity_takes_over() {
     large_host.wait_for_stderr("joined");
     folder.wait_for_tti(&run, 20);
     lost_host.signal(Signal::KILL);
-    bs.wait_for_stderr("run again after");
+    bs.wait_for_stderr("had no host for");
     let standby = start_host(5);
     standby.wait_for_stderr("standing by");
     let finished = bs.finish();
@@ -207,4 +207,79 @@ fn a_changed_or_unsuitable_folder_is_not_resumed() {
         let finished = folder.run(&format!("up {args}"));
         assert!(!finished.is_success() && finished.stderr.contains(why), "{finished}");
     }
+}
+
+#[test]
+fn processes_without_a_count_share_the_devices() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("shares"), free_endpoint());
+    let scenario = "-n 50 -k 900";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let bs = folder.start(&format!(
+        "bs {scenario} --pace 4ms --out out --run {run} --listen {endpoint}"
+    ));
+    bs.wait_for_stderr("waiting for 50 devices");
+    let hosts: Vec<_> = (0..4)
+        .map(|_| folder.start(&format!("device --connect {endpoint} --run {run}")))
+        .collect();
+    folder.wait_for_tti(&run, 10);
+    let status = folder.clock(&run, "status --hosts");
+    for range in ["0 to 12", "13 to 25", "26 to 37", "38 to 49"] {
+        assert!(status.contains(&format!("(devices {range}, ")), "no {range}: {status}");
+    }
+    let late_host = folder.start(&format!("device --connect {endpoint} --run {run}"));
+    late_host.wait_for_stderr("standing by");
+    // Any of the others may take over.
+    hosts[1].signal(Signal::KILL);
+    bs.wait_for_stderr("had no host for");
+    let finished = bs.finish();
+    assert!(finished.is_success(), "{finished}");
+    assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
+}
+
+#[test]
+fn one_command_starts_resumes_and_confirms_a_run() {
+    let (folder, run) = (TestFolder::new(), unique_run("continue"));
+    let scenario = "-n 20 -k 1200 --seed 3";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let command = format!("up {scenario} --pace 4ms --run {run} --out out --continue --quiet");
+    let killed = folder.start(&command);
+    folder.wait_for_tti(&run, 400);
+    killed.signal(Signal::KILL);
+    killed.finish();
+    let other = folder.run(&command.replace("--seed 3", "--seed 4"));
+    assert_refused(&other, 1, &["run of another scenario", "seed is 3 there and 4 here"]);
+    let resumed = folder.run(&command);
+    assert!(resumed.is_success(), "{resumed}");
+    assert!(resumed.stderr.contains("replaying the run up to TTI"), "{resumed}");
+    let digest_line = format!("digest {}\n", expected.digest());
+    assert_eq!(resumed.stdout, digest_line);
+    let again = folder.run(&command);
+    assert!(again.is_success() && again.stderr.is_empty(), "{again}");
+    assert_eq!(again.stdout, digest_line);
+}
+
+#[test]
+fn a_loss_ends_the_run_after_its_limit_and_the_run_can_be_resumed() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("limit"), free_endpoint());
+    let scenario = "-n 20 -k 1500";
+    let expected = folder.summary(&format!("run {scenario}"));
+    let bs = folder.start(&format!(
+        "bs {scenario} --pace 4ms --loss-timeout 1s --out out --run {run} --listen {endpoint}"
+    ));
+    bs.wait_for_stderr("waiting for 20 devices");
+    let host = folder.start(&format!("device --connect {endpoint} --run {run}"));
+    folder.wait_for_tti(&run, 400);
+    host.signal(Signal::KILL);
+    let finished = bs.finish();
+    let parts = [
+        "host 0 (devices 0 to 19, the process with pid ",
+        "within 1s, the --loss-timeout",
+        "--resume",
+    ];
+    assert_eq!(finished.code(), Some(1), "{finished}");
+    for part in parts {
+        assert!(finished.stderr.contains(part), "no {part:?}: {finished}");
+    }
+    let resumed = folder.run(&format!("up --resume out --run {run} --quiet"));
+    assert_eq!(resumed.stdout, format!("digest {}\n", expected.digest()), "{resumed}");
 }

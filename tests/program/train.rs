@@ -310,7 +310,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         );
         // The written tables name the tables that they started from.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
-        let origin = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
+        let origin = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTI, \
             learned in 50 TTIs\"";
         assert!(learned.contains(origin), "{learned:.600}");
     }

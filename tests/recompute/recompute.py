@@ -109,6 +109,7 @@ def device_metrics(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
         "worst_low_energy_pct": 100 * max(int(row["low_ttis"]) for row in rows) / ttis,
         "failed_actions_pct": ratio(100 * count("failed_ttis"), count("sensing_ttis")),
         "unpowered_pct": 100 * count("unpowered_ttis") / n / ttis,
+        "no_power_pct": 100 * (count("failed_ttis") + count("unpowered_ttis")) / n / ttis,
     }
 
 

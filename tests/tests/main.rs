@@ -24,5 +24,6 @@ mod radio;
 mod reference;
 mod scaling;
 mod session;
+mod testbed_files;
 mod tidy;
 mod tutorial;

@@ -11,6 +11,8 @@ use reveille_bs::policy::registry::POLICIES;
 use reveille_bs::server::{OnLoss, RunProgress, RunSpec, ServerConfig, dismiss_hosts, serve};
 use reveille_bs::session::Session;
 use reveille_common::bus::Bus;
+use reveille_common::ids::Tti;
+use reveille_common::message::HostOffer;
 use reveille_common::message::Pace;
 use reveille_device::host::{HostConfig, run_host};
 use reveille_lab::preparation::prepare;
@@ -34,8 +36,8 @@ impl Observer for NotificationRecorder {
         self.lines.push(format!("{notification:?}"));
     }
 
-    fn wants_states(&self) -> bool {
-        self.closed_ttis.is_multiple_of(5)
+    fn states_due(&self) -> Tti {
+        Tti(self.closed_ttis.next_multiple_of(5))
     }
 
     fn wants_beliefs(&self) -> bool {
@@ -67,7 +69,7 @@ async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, host_co
                 .await
                 .expect("a link");
             let config = HostConfig {
-                max_devices: devices.div_ceil(host_count),
+                offer: HostOffer::AtMost(devices.div_ceil(host_count)),
                 name: format!("host {host} of a test"),
                 key: None,
                 patience: PATIENCE,
@@ -81,6 +83,7 @@ async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, host_co
         lookahead,
         pace: Pace::Max,
         on_loss: OnLoss::End,
+        loss_timeout: None,
         window_ttis: u64::MAX,
         join_timeout: Some(PATIENCE),
         starts_paused: false,
@@ -100,7 +103,7 @@ async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, host_co
     serve(&bus, spec, &config, &progress, &mut recorder)
         .await
         .expect("a run");
-    dismiss_hosts(&bus, None).expect("a bus");
+    dismiss_hosts(&bus, None).await.expect("a bus");
     recorder.lines
 }
 

@@ -206,6 +206,7 @@ fn cause_metrics(counted: &[&EventRecord]) -> Vec<Row> {
         ("missed_removed_pct", share("removed")),
         ("missed_undetected_pct", share("undetected")),
         ("missed_asleep_pct", share("asleep")),
+        ("missed_failed_pct", share("failed")),
         ("missed_unpowered_pct", share("unpowered")),
         ("missed_wake_missed_pct", share("wake_missed")),
         ("missed_no_energy_pct", share("no_energy")),
@@ -374,5 +375,9 @@ fn energy_metrics(run: &ReferenceRun, device_count: f64, ttis: f64) -> Vec<Row> 
             100.0 * sum(|device| device.failed_ttis as f64) / sum(|device| device.sensing_ttis as f64),
         ),
         ("unpowered_pct", 100.0 * mean(|device| device.unpowered_ttis as f64)),
+        (
+            "no_power_pct",
+            100.0 * mean(|device| (device.failed_ttis + device.unpowered_ttis) as f64),
+        ),
     ]
 }

@@ -8,7 +8,7 @@ use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::session::{Action, ActionResult, GrantAnswers, Session};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::DeviceRemoval;
+use reveille_common::message::{DeviceRemoval, UnableDetectors};
 use reveille_common::radio::Air;
 use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
@@ -43,8 +43,8 @@ impl Observer for RunRecorder {
         }
     }
 
-    fn wants_states(&self) -> bool {
-        true
+    fn states_due(&self) -> Tti {
+        Tti::ZERO
     }
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
@@ -122,18 +122,18 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                     machines.iter().map(Machine::totals).sum::<DeviceTotals>()
                 });
                 for update in &updates {
-                    let count = machines.len();
-                    air.deliver_plan(update.from, &update.plan, DeviceId(0), count, |j, duty| {
+                    air.deliver_plan(update.from, &update.plan, DeviceId(0), machines.len(), |j, duty| {
                         machines[j].set_duty(update.from, duty);
                     });
                 }
-                let (mut reports, mut failures, mut unpowered) = (Vec::new(), Vec::new(), 0);
+                let (mut reports, mut failures, mut unable) = (Vec::new(), Vec::new(), UnableDetectors::default());
                 // Hosts answer in any order.
                 for machine in machines.iter_mut().rev() {
                     match grant.stimulus.map(|event| machine.sense(grant.last, &event, &physics)) {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
                         Some(SenseOutcome::TransmissionFailed(failure)) => failures.push(failure),
-                        Some(SenseOutcome::Unpowered) => unpowered += 1,
+                        Some(SenseOutcome::Failed) => unable += UnableDetectors::FAILED,
+                        Some(SenseOutcome::Unpowered) => unable += UnableDetectors::UNPOWERED,
                         Some(SenseOutcome::Nothing) | None => {}
                     }
                     machine.begin(grant.last);
@@ -143,7 +143,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                 let answers = GrantAnswers {
                     reports: &mut reports,
                     failures: &mut failures,
-                    unpowered,
+                    unable,
                     views: &views,
                 };
                 if let Some(totals) = totals {
@@ -271,7 +271,7 @@ fn a_result_that_fits_no_action_is_refused() {
     let no_answers = GrantAnswers {
         reports: &mut [],
         failures: &mut [],
-        unpowered: 0,
+        unable: UnableDetectors::default(),
         views: &[],
     };
     session.apply_result(ActionResult::GrantAnswers(no_answers), &mut ());

@@ -91,7 +91,7 @@ fn invalid_settings_of_patrol_are_refused_with_the_reason() {
     let error = prepare(&["policy.patrol.evry=3"])
         .expect_err("no such field")
         .to_string();
-    assert!(error.contains("did you mean `every`"), "{error}");
+    assert!(error.contains("did you mean `policy.patrol.every`"), "{error}");
     // The program's own registry does not contain the policy.
     assert!(POLICIES.iter().all(|policy| policy.name != PATROL.name));
 }

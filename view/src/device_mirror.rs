@@ -10,16 +10,17 @@ use std::sync::Arc;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
+use reveille_common::digits::count_noun;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
 use reveille_common::message::{
     Change, DeviceRange, DeviceRemoval, FailedTransmission, Frame, Message, OperatorAction, PlanUpdate, Report,
-    WakeOutcome, WakeUp, WorldUpdate,
+    UnableDetectors, WakeOutcome, WakeUp, WorldUpdate,
 };
 use reveille_common::plan::Plan;
 use reveille_common::radio::{Air, RadioSettings};
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::Ledger;
+use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_device::machine::{Machine, Physics, SenseOutcome};
 
 /// A frame that contradicts the frames before it: one is missing or changed, or comes from another version.
@@ -48,8 +49,8 @@ pub struct DeviceMirror {
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
     expected_reports: VecDeque<Report>,
     expected_failures: VecDeque<FailedTransmission>,
-    /// Devices that could not pay for sensing the event in that TTI.
-    unpowered: Vec<DeviceId>,
+    /// Devices that would have detected the event in that TTI, but could not sense.
+    unable: Vec<(DeviceId, UnableDetectors)>,
     /// Copies of the devices that sensed, and of the last woken device, from before that action. A removal restores
     /// them.
     before_sensing: Vec<Machine>,
@@ -87,7 +88,7 @@ impl DeviceMirror {
             grant: None,
             expected_reports: VecDeque::new(),
             expected_failures: VecDeque::new(),
-            unpowered: Vec::new(),
+            unable: Vec::new(),
             before_sensing: Vec::new(),
             before_wake_up: None,
             open_wake_up: None,
@@ -111,9 +112,9 @@ impl DeviceMirror {
         self.missed_plan_count
     }
 
-    /// Number of devices that could not pay for sensing the event in the current TTI.
-    pub const fn unpowered_count(&self) -> u64 {
-        self.unpowered.len() as u64
+    /// Devices that would have detected the event in the current TTI, but could not sense.
+    pub fn unable_detectors(&self) -> UnableDetectors {
+        self.unable.iter().map(|(_, unable)| *unable).sum()
     }
 
     /// Stimulus in the current TTI, if any device might react to it.
@@ -148,6 +149,23 @@ impl DeviceMirror {
             machine.view()
         };
         self.machines.iter_mut().map(view).collect()
+    }
+
+    /// Advances all devices to TTI `tti`, like [`Self::views_at`], and returns their views and their totals since TTI
+    /// 0.
+    ///
+    /// # Panics
+    /// If a device is past `tti` + 1.
+    pub(crate) fn views_and_totals_at(&mut self, tti: Tti) -> Vec<(DeviceView, DeviceTotals)> {
+        self.apply_changes_up_to(tti);
+        let view_and_totals = |machine: &mut Machine| {
+            begin(machine, tti);
+            // On a copy: settling closes the open TTI, and the run may continue.
+            let mut ended = machine.clone();
+            ended.advance_to(tti + 1);
+            (machine.view(), ended.totals())
+        };
+        self.machines.iter_mut().map(view_and_totals).collect()
     }
 
     /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`]; `None` if it does not
@@ -311,7 +329,7 @@ impl DeviceMirror {
         }
         let devices = self.machines.len() as u32;
         if action.change.devices().is_some_and(|range| !range.is_valid(devices)) {
-            return Err(format!("{action}, and the run has {devices} devices"));
+            return Err(format!("{action}, and the run has {}", count_noun(devices, "device")));
         }
         self.pending_changes.push(action.change);
         Ok(())
@@ -342,7 +360,7 @@ impl DeviceMirror {
         }
         self.apply_changes(world.first);
         self.before_sensing.clear();
-        self.unpowered.clear();
+        self.unable.clear();
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
                 // Machines are lazy: a device that cannot sense catches up when it is next needed.
@@ -352,8 +370,12 @@ impl DeviceMirror {
                 let unsensed = machine.clone();
                 match machine.sense(world.last, stimulus, &self.physics) {
                     SenseOutcome::Nothing => continue,
+                    SenseOutcome::Failed => {
+                        self.unable.push((machine.id(), UnableDetectors::FAILED));
+                        continue;
+                    }
                     SenseOutcome::Unpowered => {
-                        self.unpowered.push(machine.id());
+                        self.unable.push((machine.id(), UnableDetectors::UNPOWERED));
                         continue;
                     }
                     SenseOutcome::Reported(report) => self.expected_reports.push_back(report),
@@ -381,7 +403,7 @@ impl DeviceMirror {
             self.expected_reports.retain(|report| !removal.contains(report.device));
             self.expected_failures
                 .retain(|failure| !removal.contains(failure.device));
-            self.unpowered.retain(|device| !removal.contains(*device));
+            self.unable.retain(|(device, _)| !removal.contains(*device));
         }
         if let Some((device, outcome)) = &mut self.open_wake_up
             && removal.contains(*device)

@@ -15,6 +15,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
+use reveille_common::ids::Tti;
 use reveille_common::message::{EventUpdate, Frame, Message, MessageKind};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::{DeviceState, DeviceView};
@@ -62,13 +63,29 @@ struct BucketLabels {
     at_most: String,
 }
 
+/// Labels of a host, as it states them; the texts can be empty.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+pub struct HostLabels {
+    /// Number of the host.
+    pub host: u32,
+    /// Its process id.
+    pub pid: String,
+    /// Its machine or container.
+    pub machine: String,
+    /// Its address.
+    pub address: String,
+}
+
 type FloatGauge = Gauge<f64, AtomicU64>;
 
-/// Statistics of the processes of a run, as known to this process. All but `hosts` count from its start and never fall.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Statistics of the processes of a run, as known to this process. All but the hosts count from its start and never
+/// fall.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProcessStats {
     /// Hosts that run devices and are not lost.
     pub hosts: u64,
+    /// The hosts with devices, lost ones included until another host takes over, with their numbers of devices.
+    pub host_devices: Vec<(HostLabels, u32)>,
     /// TTIs that began late under a real-time pace.
     pub late_ttis: u64,
     /// Largest delay of a TTI, seconds.
@@ -112,6 +129,8 @@ struct Handles {
     devices_by_battery: Family<BucketLabels, Gauge>,
     mean_battery: FloatGauge,
     hosts: Gauge,
+    /// Only the present hosts, so takeovers do not add series without end.
+    host_devices: Family<HostLabels, Gauge>,
     late_ttis: Counter,
     max_late: FloatGauge,
     recorder_waited: Counter<f64, AtomicU64>,
@@ -147,6 +166,7 @@ impl Handles {
             devices_by_battery: Family::default(),
             mean_battery: Gauge::default(),
             hosts: Gauge::default(),
+            host_devices: Family::default(),
             late_ttis: Counter::default(),
             max_late: Gauge::default(),
             recorder_waited: Counter::default(),
@@ -198,6 +218,11 @@ impl Handles {
         );
         registry.register("battery_mean_units", "Mean battery level", self.mean_battery.clone());
         registry.register("hosts_alive", "Hosts that are not lost", self.hosts.clone());
+        registry.register(
+            "host_devices",
+            "Devices of each host, by its process, machine and address",
+            self.host_devices.clone(),
+        );
         registry.register(
             "late_ttis",
             "TTIs that began late under a real-time pace",
@@ -304,10 +329,14 @@ impl PrometheusMetrics {
     /// Encodes the metrics with the process statistics `process`: in the OpenMetrics format if `is_openmetrics`,
     /// otherwise in the older Prometheus text format.
     pub fn encode(&self, process: ProcessStats, is_openmetrics: bool) -> String {
-        // Held over all increments; otherwise two parallel requests would count them twice.
+        // Held to the end; otherwise two parallel requests would count increments twice, or miss hosts.
         let mut before = self.last_process_stats.lock().unwrap_or_else(PoisonError::into_inner);
         let handles = &self.handles;
         handles.hosts.set(process.hosts.cast_signed());
+        handles.host_devices.clear();
+        for (labels, devices) in &process.host_devices {
+            handles.host_devices.get_or_create(labels).set(i64::from(*devices));
+        }
         handles.max_late.set(process.max_late_s);
         handles
             .late_ttis
@@ -319,9 +348,9 @@ impl PrometheusMetrics {
             .recorder_waited
             .inc_by((process.recorder_waited_s - before.recorder_waited_s).max(0.0));
         *before = process;
-        drop(before);
         let mut text = String::new();
         encode(&mut text, &self.registry).expect("a text takes everything");
+        drop(before);
         if is_openmetrics {
             text
         } else {
@@ -384,8 +413,12 @@ impl Observer for MetricsObserver {
         }
     }
 
-    fn wants_states(&self) -> bool {
-        self.0.is_count_pending()
+    fn states_due(&self) -> Tti {
+        if self.0.is_count_pending() {
+            Tti::ZERO
+        } else {
+            Tti::NEVER
+        }
     }
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
@@ -430,6 +463,17 @@ mod tests {
         load("paper", &overrides).expect("a scenario").scenario
     }
 
+    /// Returns the labels of a host, and its number of devices.
+    fn host(host: u32, devices: u32) -> (HostLabels, u32) {
+        let labels = HostLabels {
+            host,
+            pid: "8".to_owned(),
+            machine: format!("m{host}"),
+            address: String::new(),
+        };
+        (labels, devices)
+    }
+
     /// Returns a table of the name, type and help of every metric, as in docs/monitoring.md.
     fn metrics_table(text: &str) -> String {
         let row = |line: &str| {
@@ -447,7 +491,12 @@ mod tests {
 
     #[test]
     fn the_monitoring_page_lists_every_metric() {
-        let text = PrometheusMetrics::new("r", &test_scenario()).encode(ProcessStats::default(), false);
+        // A metric of hosts needs a host to be shown.
+        let process = ProcessStats {
+            host_devices: vec![host(0, 30)],
+            ..ProcessStats::default()
+        };
+        let text = PrometheusMetrics::new("r", &test_scenario()).encode(process, false);
         let table = metrics_table(&text);
         let page = include_str!("../../docs/monitoring.md");
         assert!(
@@ -472,10 +521,11 @@ mod tests {
         let outcome = Run::new(&prepare(&scenario), options).finish(&mut observers);
         let process = ProcessStats {
             hosts: 3,
+            host_devices: vec![host(0, 10), host(2, 20)],
             dropped_frames: 7,
             ..ProcessStats::default()
         };
-        let text = metrics.encode(process, false);
+        let text = metrics.encode(process.clone(), false);
         let value = |name: &str| -> f64 {
             let line = text
                 .lines()
@@ -509,8 +559,20 @@ mod tests {
         let energy_spent_in = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
         assert_close(energy_spent_in("sensing"), spent.sensing.units());
         assert_close(energy_spent_in("report"), spent.report.units());
-        // A second request does not count an increment again.
-        let second_request = metrics.encode(process, false);
+        let host_series =
+            |number| format!("reveille_host_devices{{host=\"{number}\",pid=\"8\",machine=\"m{number}\",address=\"\"}}");
+        assert_close(value(&host_series(0)), 10.0);
+        assert_close(value(&host_series(2)), 20.0);
+        // A second request does not count an increment again, and shows no host that has been replaced.
+        let process = ProcessStats {
+            host_devices: vec![host(1, 10), host(2, 20)],
+            ..process
+        };
+        let second_request = metrics.encode(process.clone(), false);
+        assert!(
+            second_request.contains(&host_series(1)) && !second_request.contains(&host_series(0)),
+            "{second_request}"
+        );
         assert!(
             second_request.contains("reveille_observer_messages_left_out_total 7\n"),
             "{second_request}"

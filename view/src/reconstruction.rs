@@ -67,7 +67,7 @@ impl Reconstruction {
             Err(_) if frame.kind.plane() == Plane::Air => return Ok(()),
             Err(error) => return Err(discrepancy(format!("malformed {}: {error}", frame.kind.name()))),
         };
-        self.count_unpowered(&message);
+        self.count_unable_detectors(&message);
         // First, since `count_message` asks the mirror about missed plans and the open wake-up.
         self.mirror.apply(frame, &message)?;
         self.count_message(frame, message).map_err(discrepancy)
@@ -120,13 +120,13 @@ impl Reconstruction {
         self.mirror.current_tti().map_or(0, |last| last.0 + 1)
     }
 
-    /// Counts the unpowered devices of the last grant before `message` ends its event or begins another grant. Only
-    /// then are its removals known.
-    fn count_unpowered(&mut self, message: &Message) {
+    /// Counts the devices that could not sense in the last grant, before `message` ends its event or begins another
+    /// grant. Only then are its removals known.
+    fn count_unable_detectors(&mut self, message: &Message) {
         let is_end = matches!(message, Message::World(_) | Message::Event(EventUpdate::Ended(_)));
         // An event that the world ends follows the next grant, which can have the stimulus of another event.
         if is_end && self.stimulus.is_some() && self.mirror.stimulus() == self.stimulus {
-            self.score.record_unpowered(self.mirror.unpowered_count());
+            self.score.record_unable_detectors(self.mirror.unable_detectors());
         }
     }
 

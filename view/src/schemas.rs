@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use reveille_common::message::{Change, MessageKind, Pace, Payload, Setting, TypeVisitor, WakeOutcome};
+use reveille_common::message::{Change, HostOffer, MessageKind, Pace, Payload, Setting, TypeVisitor, WakeOutcome};
 use reveille_common::plan::Plan;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::MissCause;
@@ -59,6 +59,7 @@ impl MessageSchemas {
         tracer.trace::<Pace>();
         tracer.trace::<Setting>();
         tracer.trace::<Change>();
+        tracer.trace::<HostOffer>();
         MessageKind::visit_types(&mut tracer);
         Self {
             types: tracer.tracer.registry().expect("types of messages are finite"),

@@ -50,6 +50,10 @@ impl TrafficStats {
             let device_kinds = self.devices.entry(DeviceId(number)).or_default();
             device_kinds.entry(frame.kind).or_default().add(bytes);
         }
+        // The TTI of an emulation message can be one after the last, when the base station collects the ledgers.
+        if frame.kind.plane() == Plane::Emu {
+            return;
+        }
         // A grant can cover TTIs without messages, so its last TTI counts.
         let last = match (frame.kind == MessageKind::World).then(|| frame.message()) {
             Some(Ok(Message::World(world))) => world.last,
@@ -59,14 +63,14 @@ impl TrafficStats {
         self.last_tti = Some(self.last_tti.map_or(last, |earlier| earlier.max(last)));
     }
 
-    /// Number of TTIs from the first to the last message, inclusive; 0 without messages.
+    /// Number of TTIs in [`Self::tti_range`], inclusive; 0 without them.
     pub fn ttis(&self) -> u64 {
         self.first_tti
             .zip(self.last_tti)
             .map_or(0, |(first, last)| last - first + 1)
     }
 
-    /// The first and the last TTI; `None` without messages.
+    /// The first and the last TTI with a message or a grant; `None` without them. Emulation messages do not count.
     pub fn tti_range(&self) -> Option<(Tti, Tti)> {
         self.first_tti.zip(self.last_tti)
     }

@@ -15,12 +15,8 @@ use super::{Notification, Observer};
 /// Encodes notifications as frames. It keeps the order of notifications and remembers the last grant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameEncoder {
-    /// The first TTI of the last grant.
-    grant_first: Tti,
     /// The last TTI of the last grant.
     grant_last: Tti,
-    /// The next TTI to be granted.
-    next_tti: Tti,
 }
 
 impl FrameEncoder {
@@ -29,7 +25,7 @@ impl FrameEncoder {
         match *notification {
             Notification::PlanSent { update, .. } => emit(Frame::new(update.from, (), update)),
             Notification::TtisGranted(grant) => {
-                (self.grant_first, self.grant_last, self.next_tti) = (grant.first, grant.last, grant.last + 1);
+                self.grant_last = grant.last;
                 let world = WorldUpdate {
                     first: grant.first,
                     last: grant.last,
@@ -82,8 +78,8 @@ pub struct FrameObserver<F> {
 }
 
 impl<F: FnMut(Frame)> FrameObserver<F> {
-    /// Creates an observer that passes frames to `emit`. It also passes the device states at the end of a grant, every
-    /// `state_interval` TTIs or a little later if a grant is longer; 0 for never.
+    /// Creates an observer that passes frames to `emit`, also the device states at the end of TTI 0 and of every
+    /// `state_interval` TTIs after it; 0 for never.
     pub fn new(state_interval: u64, emit: F) -> Self {
         Self {
             encoder: FrameEncoder::default(),
@@ -97,18 +93,22 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
 impl<F: FnMut(Frame)> Observer for FrameObserver<F> {
     fn notify(&mut self, notification: &Notification<'_>) {
         if matches!(notification, Notification::DeviceStates(_)) {
-            let is_due = self.state_interval > 0 && self.encoder.grant_first >= self.states_due;
-            if !is_due {
+            let last = self.encoder.grant_last;
+            if last < self.states_due() {
                 // Another observer has requested these states.
                 return;
             }
-            self.states_due = self.encoder.grant_last + self.state_interval;
+            self.states_due = Tti((last.0 / self.state_interval + 1) * self.state_interval);
         }
         self.encoder.encode(notification, &mut self.emit);
     }
 
-    fn wants_states(&self) -> bool {
-        self.state_interval > 0 && self.encoder.next_tti >= self.states_due
+    fn states_due(&self) -> Tti {
+        if self.state_interval == 0 {
+            Tti::NEVER
+        } else {
+            self.states_due
+        }
     }
 
     fn wants_beliefs(&self) -> bool {

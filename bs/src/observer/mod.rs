@@ -92,10 +92,10 @@ pub trait Observer {
     /// Receives a notification.
     fn notify(&mut self, _notification: &Notification<'_>) {}
 
-    /// Whether [`Notification::DeviceStates`] is wanted at the end of the next grant. Called at least once before each
-    /// grant.
-    fn wants_states(&self) -> bool {
-        false
+    /// The next TTI at whose end [`Notification::DeviceStates`] is wanted. Devices return their states at the end of a
+    /// grant, so the next grant ends with this TTI at the latest.
+    fn states_due(&self) -> Tti {
+        Tti::NEVER
     }
 
     /// Whether [`Notification::BeliefUpdated`] is wanted in the TTI being closed.
@@ -122,8 +122,8 @@ impl<O: Observer> Observer for &mut O {
         (**self).notify(notification);
     }
 
-    fn wants_states(&self) -> bool {
-        (**self).wants_states()
+    fn states_due(&self) -> Tti {
+        (**self).states_due()
     }
 
     fn wants_beliefs(&self) -> bool {
@@ -147,8 +147,8 @@ impl<O: Observer> Observer for Option<O> {
         }
     }
 
-    fn wants_states(&self) -> bool {
-        self.as_ref().is_some_and(Observer::wants_states)
+    fn states_due(&self) -> Tti {
+        self.as_ref().map_or(Tti::NEVER, Observer::states_due)
     }
 
     fn wants_beliefs(&self) -> bool {
@@ -173,8 +173,8 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
         self.1.notify(notification);
     }
 
-    fn wants_states(&self) -> bool {
-        self.0.wants_states() || self.1.wants_states()
+    fn states_due(&self) -> Tti {
+        self.0.states_due().min(self.1.states_due())
     }
 
     fn wants_beliefs(&self) -> bool {

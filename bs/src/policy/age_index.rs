@@ -58,7 +58,6 @@ impl AgeIndex {
             &positions,
             known.area,
             &known.sensing,
-            ages::age_worths(),
         );
         let worth_of_reach = ages::effective_area(&known.sensing) / ages.cell_surface();
         Self {

@@ -11,10 +11,12 @@ pub use reveille_common::scenario::*;
 use crate::policy::factory::PolicyEntry;
 use crate::policy::registry;
 
+mod differences;
 mod disk;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub use differences::{FieldDifference, compare_scenarios, flatten};
 pub use disk::{load, load_with_external, parse};
 
 /// A policy of this program with its settings.

@@ -19,6 +19,7 @@
 use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId};
+use reveille_common::message::DeviceRange;
 use reveille_common::secret::{HostCredential, Secret};
 
 /// The range of devices that a host runs.
@@ -36,6 +37,14 @@ impl Assignment {
     /// Its last device.
     pub const fn last(&self) -> DeviceId {
         DeviceId(self.first.0 + self.count - 1)
+    }
+
+    /// Its devices.
+    pub const fn devices(&self) -> DeviceRange {
+        DeviceRange {
+            first: self.first,
+            count: self.count,
+        }
     }
 }
 
@@ -114,6 +123,21 @@ impl Admission {
         Some(self.add_host(request, DeviceId(first), count))
     }
 
+    /// Assigns exactly the devices of `range` to `request`; `None` unless all of them are free.
+    pub fn admit_exactly(&mut self, request: JoiningHost, range: DeviceRange) -> Option<Assignment> {
+        let DeviceRange { first, count } = range;
+        let offset_in = |free: &(u32, u32)| first.0.checked_sub(free.0).filter(|offset| *offset < free.1);
+        let index = self.free_ranges.iter().position(|free| offset_in(free).is_some())?;
+        let (free_first, available) = self.free_ranges[index];
+        let before = first.0 - free_first;
+        let after = (available - before).checked_sub(count)?;
+        // The order of `free_host`: the first devices come last.
+        let rest = [(first.0 + count, after), (free_first, before)];
+        let rest = rest.into_iter().filter(|(_, count)| *count > 0);
+        self.free_ranges.splice(index..=index, rest);
+        Some(self.add_host(request, first, count))
+    }
+
     /// Assigns the devices of a lost host to `request`. The lost host keeps its assignment until [`Self::revoke`], in
     /// case it returns first.
     pub fn take_over(&mut self, request: JoiningHost, lost: Assignment) -> Assignment {
@@ -181,6 +205,15 @@ impl Admission {
     pub fn free_host(&mut self, host: HostId) -> Option<Assignment> {
         let assignment = self.revoke(host)?;
         self.free_ranges.push((assignment.first.0, assignment.count));
+        // Adjacent ranges become one, so that another host can get as many devices. The first range is assigned first.
+        self.free_ranges.sort_unstable_by(|a, b| b.cmp(a));
+        self.free_ranges.dedup_by(|(first, count), (next_first, next_count)| {
+            let is_adjacent = *first + *count == *next_first;
+            if is_adjacent {
+                (*next_first, *next_count) = (*first, *count + *next_count);
+            }
+            is_adjacent
+        });
         Some(assignment)
     }
 
@@ -202,9 +235,20 @@ impl Admission {
         self.hosts.get(host.index()).map_or("", |entry| &entry.request.name)
     }
 
+    /// The assignments of all hosts.
+    pub fn assignments(&self) -> impl Iterator<Item = Assignment> + '_ {
+        let entries = self.hosts.iter().filter(|entry| !entry.is_revoked);
+        entries.map(|entry| entry.assignment)
+    }
+
+    /// Number of devices without a host.
+    pub fn free_device_count(&self) -> u32 {
+        self.free_ranges.iter().map(|(_, count)| count).sum()
+    }
+
     /// Number of devices that are assigned to a host.
     pub fn assigned_device_count(&self) -> u32 {
-        self.devices - self.free_ranges.iter().map(|(_, count)| count).sum::<u32>()
+        self.devices - self.free_device_count()
     }
 
     /// Number of hosts that run their devices.
@@ -214,7 +258,7 @@ impl Admission {
 
     /// Number of hosts with an assignment.
     pub fn assigned_host_count(&self) -> usize {
-        self.hosts.iter().filter(|entry| !entry.is_revoked).count()
+        self.assignments().count()
     }
 
     /// The assignments of all hosts, once every device has a host and every host runs its devices.
@@ -275,6 +319,44 @@ mod tests {
         assert_eq!(admission.assignments_if_all_active(), Some(vec![a, b]));
     }
 
+    fn range(first: u32, count: u32) -> DeviceRange {
+        let first = DeviceId(first);
+        DeviceRange { first, count }
+    }
+
+    #[test]
+    fn an_exact_range_is_assigned_only_if_all_of_it_is_free() {
+        let mut admission = Admission::new(20);
+        let mut admit = |nonce, first, count| {
+            let assignment = admission.admit_exactly(joining_host(nonce, count), range(first, count));
+            assignment.map(|assignment| assignment.devices())
+        };
+        assert_eq!(admit(1, 5, 5), Some(range(5, 5)));
+        for (first, count) in [
+            (4, 2),
+            (9, 1),
+            (0, 20),
+            (5, 5),
+            (20, 1),
+            (15, 6),
+            (u32::MAX, 2),
+            (3, u32::MAX),
+        ] {
+            assert_eq!(admit(2, first, count), None, "{count} from {first}");
+        }
+        assert_eq!(admit(2, 15, 5), Some(range(15, 5)));
+        assert_eq!(admit(3, 0, 2), Some(range(0, 2)));
+        assert_eq!(admission.free_ranges, [(10, 5), (2, 3)]);
+        // A host without a range gets the first free devices, and a freed range can be assigned again.
+        let first_free = admission.admit(joining_host(4, 100)).expect("free");
+        assert_eq!(first_free.devices(), range(2, 3));
+        admission.free_host(HostId(0));
+        assert_eq!(admission.free_ranges, [(5, 10)]);
+        let again = admission.admit_exactly(joining_host(5, 5), range(5, 5)).expect("free");
+        assert_eq!((again.devices(), again.host), (range(5, 5), HostId(4)));
+        assert_eq!(admission.free_device_count(), 5);
+    }
+
     #[test]
     fn a_credential_is_valid_only_for_its_own_host() {
         let mut admission = Admission::new(10);
@@ -309,6 +391,7 @@ mod tests {
         assert_eq!(admission.free_host(a.host), None);
         assert!(!admission.mark_ready(credential(a, 1)));
         assert_eq!(admission.assigned_device_count(), 4);
+        assert_eq!(admission.free_ranges, [(0, 6)]);
         let reassigned = admission.admit(joining_host(3, 6)).expect("free");
         assert_eq!(
             (reassigned.first, reassigned.count, reassigned.host),

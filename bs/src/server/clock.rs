@@ -1,7 +1,7 @@
 //! The virtual clock, with its commands (pause, step, run to a TTI, resume) and its pace. It reads no time: `run_loop`
 //! waits for due TTIs and records their [`Lateness`]. The clock changes no result of a run.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockCommand, Pace};
@@ -89,9 +89,103 @@ impl Lateness {
     }
 }
 
+/// Number of consecutive TTIs with growing delays before [`PaceWatch`] reports a pace. After a single long TTI the next
+/// ones catch up.
+const MIN_SLOW_TTIS: u64 = 20;
+/// Smallest growth of the delay that [`PaceWatch`] reports. The largest step of a sequence does not count, since one
+/// long TTI does not predict the others.
+const MIN_REPORTED_GROWTH: Duration = Duration::from_millis(500);
+
+/// Finds out whether TTIs take longer than the pace allows. Create a new one for each pace.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PaceWatch {
+    slow_phase: Option<SlowPhase>,
+    last_delay: Duration,
+    has_reported: bool,
+}
+
+/// A sequence of TTIs with growing delays.
+#[derive(Clone, Copy, Debug)]
+struct SlowPhase {
+    /// The first TTI.
+    first: Tti,
+    /// Time at which it began.
+    start: Instant,
+    /// Growth of the delay in the sequence.
+    growth: Duration,
+    /// The largest part of `growth` in one TTI.
+    largest_step: Duration,
+}
+
+impl PaceWatch {
+    /// Records that `tti` begins at `now`, `delay` after it was due. Returns the mean duration of the last TTIs if they
+    /// are too slow for the pace. It does so at most once.
+    pub fn record(&mut self, tti: Tti, delay: Duration, now: Instant) -> Option<Duration> {
+        let step = delay.saturating_sub(self.last_delay);
+        self.last_delay = delay;
+        if step.is_zero() {
+            self.slow_phase = None;
+            return None;
+        }
+        let phase = self.slow_phase.get_or_insert(SlowPhase {
+            first: tti,
+            start: now,
+            growth: Duration::ZERO,
+            largest_step: Duration::ZERO,
+        });
+        phase.growth += step;
+        phase.largest_step = phase.largest_step.max(step);
+        let slow_ttis = tti - phase.first;
+        let steady_growth = phase.growth.saturating_sub(phase.largest_step);
+        if self.has_reported || slow_ttis < MIN_SLOW_TTIS || steady_growth < MIN_REPORTED_GROWTH {
+            return None;
+        }
+        self.has_reported = true;
+        Some(now.saturating_duration_since(phase.start) / u32::try_from(slow_ttis).unwrap_or(u32::MAX))
+    }
+}
+
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "the tests need an instant")]
 mod tests {
     use super::*;
+
+    /// Begins a TTI whenever the one before is over and the pace of 10 ms allows it; TTI k takes `durations[k]` ms.
+    /// Returns the TTI before which the pace was reported as too fast, and the mean duration in ms.
+    fn watch(durations: &[u64]) -> Option<(usize, u128)> {
+        let (mut watch, start) = (PaceWatch::default(), Instant::now());
+        let mut time = 0;
+        for (k, duration) in durations.iter().enumerate() {
+            let due = 10 * k as u64;
+            let begin = due.max(time);
+            let delay = Duration::from_millis(begin - due);
+            if let Some(mean) = watch.record(Tti(k as u64), delay, start + Duration::from_millis(begin)) {
+                return Some((k, mean.as_millis()));
+            }
+            time = begin + duration;
+        }
+        None
+    }
+
+    #[test]
+    fn a_pace_is_too_fast_only_if_ttis_fall_behind_one_after_another() {
+        assert_eq!(watch(&[40; 100]), Some((21, 40)), "20 TTIs after the first late one");
+        assert_eq!(
+            watch(&[12; 1000]),
+            Some((251, 12)),
+            "500 ms behind, the largest step left out"
+        );
+        let mut frozen = vec![9; 3000];
+        frozen[50] = 5000;
+        assert_eq!(watch(&frozen), None, "after a long TTI the others catch up");
+        let mut slow_for_a_while = [vec![11; 60], vec![9; 3000]].concat();
+        slow_for_a_while[30] = 600;
+        assert_eq!(
+            watch(&slow_for_a_while),
+            None,
+            "one long TTI among some that are a little slow"
+        );
+    }
 
     #[test]
     fn commands_set_the_stop_and_the_pace() {

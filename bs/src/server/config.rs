@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use reveille_common::ids::DeviceId;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Pace;
 use reveille_common::score::WindowRecord;
 use reveille_common::secret::Secret;
@@ -66,6 +66,8 @@ pub struct ServerConfig {
     pub pace: Pace,
     /// Action when a host is lost.
     pub on_loss: OnLoss,
+    /// Time limit for each loss under [`OnLoss::Wait`]; `None` for no limit.
+    pub loss_timeout: Option<Duration>,
     /// TTIs in a window of the per-window series, ≥ 1. `serve` does not read it: its caller makes the session with it.
     pub window_ttis: u64,
     /// Time to wait for all devices to join; `None` for no limit.
@@ -103,7 +105,7 @@ pub struct RunProgress {
     pub late_ttis: AtomicU64,
     /// The largest delay of a TTI, nanoseconds.
     pub max_late_ns: AtomicU64,
-    /// The assignments and names of all hosts that are not removed; replaced at each retransmission.
+    /// The assignments and names of all hosts that are not removed; replaced at each retransmission and removal.
     pub owners: Mutex<Vec<(Assignment, String)>>,
     /// Reason why the run cannot continue, if a thread other than the run loop has found one.
     stop_cause: OnceLock<String>,
@@ -154,12 +156,14 @@ impl RunProgress {
 pub struct ServerOutcome {
     /// The outcome, whole or partial.
     pub outcome: RunOutcome,
+    /// The first TTI over the bus; a resumed run has replayed the TTIs before it.
+    pub first_tti: Tti,
     /// The time from the call until all devices had joined.
     pub joining_time: Duration,
     /// The time from the end of joining to the last answer.
     pub running_time: Duration,
-    /// Number of hosts with which the run began; a takeover does not add one.
-    pub host_count: usize,
+    /// Number of processes with which the run began; a takeover does not add one.
+    pub process_count: usize,
     /// Grants made: barriers over all hosts.
     pub grant_count: u64,
     /// Delays under a real-time pace.

@@ -2,8 +2,13 @@
 //! outcome so far if it has a replay. Without a replay, the exit code is that for interruptions (`deploy/src/exit.rs`).
 //! Operators read the texts; tests in `tests/program/` compare some, and texts name options of `deploy/src/cli/`.
 
+use std::time::Duration;
+
+use humantime::format_duration;
 use reveille_common::bus::BusError;
+use reveille_common::digits::count_noun;
 use reveille_common::ids::{HostId, Tti};
+use reveille_common::message::HostSummary;
 
 /// Error that ends a run without an outcome.
 #[derive(Debug, thiserror::Error)]
@@ -12,7 +17,7 @@ pub enum BsError {
     #[error(transparent)]
     Bus(#[from] BusError),
     /// Too few devices.
-    #[error("only {joined} of {devices} devices joined within {seconds} s")]
+    #[error("only {joined} of {} joined within {seconds} s", count_noun(*devices, "device"))]
     TooFewJoined {
         /// Devices that joined.
         joined: u32,
@@ -23,18 +28,28 @@ pub enum BsError {
     },
     /// A host is lost.
     #[error(
-        "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
-            lease, or the link broke; with --on-loss wait another process can take over its devices"
+        "lost {lost} at TTI {tti}: its process ended, froze for longer than the lease, or the link broke; with \
+            --on-loss wait another process can take over its devices"
     )]
     HostLost {
         /// The host.
-        host: HostId,
-        /// Its first device.
-        first: u32,
-        /// Its last device.
-        last: u32,
+        lost: HostSummary,
         /// The TTI that was open.
         tti: Tti,
+    },
+    /// A host was lost for longer than the limit.
+    #[error(
+        "lost {lost} at TTI {tti}, and no process has taken over its devices within {}, the --loss-timeout; use \
+            --resume to continue the run",
+        format_duration(*limit)
+    )]
+    LossTimeout {
+        /// The host.
+        lost: HostSummary,
+        /// The TTI that was open.
+        tti: Tti,
+        /// The time limit.
+        limit: Duration,
     },
     /// The run was interrupted and hosts did not answer.
     #[error("interrupted at TTI {tti}, and hosts {hosts:?} no longer answered")]
@@ -65,14 +80,10 @@ pub enum BsError {
     #[error("interrupted before all devices had joined")]
     Interrupted,
     /// The run was interrupted while it waited for a lost host.
-    #[error("interrupted at TTI {tti}, while the run waited for lost host {host} with devices {first} to {last}")]
+    #[error("interrupted at TTI {tti}, during the wait for lost {lost}")]
     InterruptedAwaitingHost {
         /// The host.
-        host: HostId,
-        /// Its first device.
-        first: u32,
-        /// Its last device.
-        last: u32,
+        lost: HostSummary,
         /// The TTI that was open.
         tti: Tti,
     },
@@ -89,6 +100,7 @@ impl BsError {
             Self::Bus(_)
             | Self::TooFewJoined { .. }
             | Self::HostLost { .. }
+            | Self::LossTimeout { .. }
             | Self::Undecided { .. }
             | Self::CannotContinue(_) => false,
         }

@@ -8,12 +8,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, HostCheckpoint, OperatorAction};
+use reveille_common::message::{DeviceCheckpoint, DeviceRange, DeviceRemoval, HostCheckpoint, OperatorAction};
 use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
 use crate::cycle::RunOutcome;
 use crate::policy::external::RecordedDecision;
+
+/// Time between two warnings about the same loss.
+const WARNING_INTERVAL: Duration = Duration::from_secs(30);
 
 /// A replay of the run, which knows all devices at any TTI: their behaviour follows from the scenario, the seed and the
 /// external inputs. Every input before TTI `k` must be recorded before a question about `k`. All methods block; the
@@ -62,6 +65,8 @@ pub trait ReplaySource: Send + Sync {
 struct PendingTakeover {
     assignment: Assignment,
     lost_at: Instant,
+    /// The time of the last warning about the loss.
+    warned_at: Option<Instant>,
     /// The TTI for which a replay was requested, if any.
     replay_tti: Option<Tti>,
     /// The result of that replay.
@@ -86,6 +91,7 @@ impl LostHosts {
         self.pending.push(PendingTakeover {
             assignment,
             lost_at: now,
+            warned_at: None,
             replay_tti: None,
             checkpoint: None,
             reserved_for: None,
@@ -101,6 +107,28 @@ impl LostHosts {
     /// The assignments of the lost hosts.
     pub fn assignments(&self) -> impl Iterator<Item = Assignment> + '_ {
         self.pending.iter().map(|takeover| takeover.assignment)
+    }
+
+    /// Returns the losses that are due for a warning at `now`. A new loss is due immediately and has no duration, an
+    /// older one is due every `WARNING_INTERVAL`.
+    pub fn take_due_warnings(&mut self, now: Instant) -> Vec<(Assignment, Option<Duration>)> {
+        let is_due = |takeover: &&mut PendingTakeover| {
+            let last_warning = takeover.warned_at;
+            last_warning.is_none_or(|at| now.saturating_duration_since(at) >= WARNING_INTERVAL)
+        };
+        let due = self.pending.iter_mut().filter(is_due);
+        due.map(|takeover| {
+            let earlier_warning = takeover.warned_at.replace(now);
+            let duration = earlier_warning.map(|_| now.saturating_duration_since(takeover.lost_at));
+            (takeover.assignment, duration)
+        })
+        .collect()
+    }
+
+    /// Returns the assignment of a host that was lost at least `limit` before `now`; `None` without such a host.
+    pub fn find_lost_for(&self, limit: Duration, now: Instant) -> Option<Assignment> {
+        let is_over = |takeover: &&PendingTakeover| now.saturating_duration_since(takeover.lost_at) >= limit;
+        self.pending.iter().find(is_over).map(|takeover| takeover.assignment)
     }
 
     /// Returns the assignments for which no replay was requested, and records a request for TTI `next`.
@@ -129,14 +157,22 @@ impl LostHosts {
     /// Returns the largest lost assignment of at most `offered_devices` devices that has a checkpoint and is not
     /// reserved.
     pub fn find_takeover(&self, offered_devices: u32) -> Option<(Assignment, Arc<HostCheckpoint>)> {
-        let unreserved = self
-            .pending
-            .iter()
-            // The roster replaces a host as a whole, so devices of one lost host are never shared between newcomers.
-            .filter(|takeover| takeover.reserved_for.is_none() && takeover.assignment.count <= offered_devices);
-        let restorable =
-            unreserved.filter_map(|takeover| Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?))));
-        restorable.max_by_key(|(assignment, _)| assignment.count)
+        // The roster replaces a host as a whole, so devices of one lost host are never shared between newcomers.
+        let fitting = self
+            .restorable()
+            .filter(|(assignment, _)| assignment.count <= offered_devices);
+        fitting.max_by_key(|(assignment, _)| assignment.count)
+    }
+
+    /// Returns the lost assignment of exactly the devices of `range`, as [`Self::find_takeover`] does.
+    pub fn find_takeover_of(&self, range: DeviceRange) -> Option<(Assignment, Arc<HostCheckpoint>)> {
+        self.restorable().find(|(assignment, _)| assignment.devices() == range)
+    }
+
+    /// The lost assignments that have a checkpoint and are not reserved.
+    fn restorable(&self) -> impl Iterator<Item = (Assignment, Arc<HostCheckpoint>)> + '_ {
+        let unreserved = self.pending.iter().filter(|takeover| takeover.reserved_for.is_none());
+        unreserved.filter_map(|takeover| Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?))))
     }
 
     /// Returns the assignment that the new host `host` is to take over, with its checkpoint.
@@ -252,7 +288,15 @@ mod tests {
             lost_hosts.find_takeover(9).map(|(found, _)| found),
             Some(assignment(1, 5, 9))
         );
+        let found_range = |lost_hosts: &LostHosts, first, count| {
+            let first = DeviceId(first);
+            let found = lost_hosts.find_takeover_of(DeviceRange { first, count });
+            found.map(|(found, _)| found)
+        };
+        assert_eq!(found_range(&lost_hosts, 5, 9), Some(assignment(1, 5, 9)));
+        assert_eq!(found_range(&lost_hosts, 5, 8), None, "only the whole range");
         lost_hosts.reserve(HostId(1), HostId(2));
+        assert_eq!(found_range(&lost_hosts, 5, 9), None, "it is reserved");
         assert_eq!(
             lost_hosts.find_takeover(9).map(|(found, _)| found),
             Some(assignment(0, 0, 5))
@@ -270,6 +314,28 @@ mod tests {
         );
         assert_eq!(lost_hosts.assignments().collect::<Vec<_>>(), [assignment(0, 0, 5)]);
         assert_eq!(lost_hosts.loss_durations(), [second]);
+    }
+
+    #[test]
+    fn each_loss_is_reported_at_once_and_at_intervals_until_its_limit() {
+        let mut lost_hosts = LostHosts::default();
+        let (start, second) = (Instant::now(), Duration::from_secs(1));
+        lost_hosts.add(assignment(0, 0, 5), start);
+        let first = lost_hosts.take_due_warnings(start + second);
+        assert_eq!(first, [(assignment(0, 0, 5), None)]);
+        lost_hosts.add(assignment(1, 5, 5), start + 2 * second);
+        let warned: Vec<_> = lost_hosts.take_due_warnings(start + 2 * second);
+        assert_eq!(warned, [(assignment(1, 5, 5), None)]);
+        let repeated = lost_hosts.take_due_warnings(start + second + WARNING_INTERVAL);
+        assert_eq!(repeated, [(assignment(0, 0, 5), Some(second + WARNING_INTERVAL))]);
+        let limit = 10 * second;
+        assert_eq!(lost_hosts.find_lost_for(limit, start + 9 * second), None);
+        assert_eq!(
+            lost_hosts.find_lost_for(limit, start + limit),
+            Some(assignment(0, 0, 5))
+        );
+        lost_hosts.end_loss(HostId(0), start + limit);
+        assert_eq!(lost_hosts.find_lost_for(limit, start + limit + second), None);
     }
 
     #[test]

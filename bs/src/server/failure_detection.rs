@@ -8,7 +8,7 @@ use reveille_common::message::HostCheckpoint;
 use super::config::OnLoss;
 use super::error::BsError;
 use super::run_loop::{LOST_AFTER, RunLoop, UNRESPONSIVE_AFTER};
-use super::state::ServerState;
+use super::state::{ServerState, now};
 
 impl RunLoop<'_> {
     /// Logs a warning for each host that has not answered; the caller measures the time.
@@ -38,17 +38,28 @@ impl RunLoop<'_> {
             return Err(BsError::CannotContinue(why));
         }
         let lost: Vec<_> = state.lost_hosts.assignments().collect();
-        let Some(assignment) = lost.first() else { return Ok(()) };
-        let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);
-        let tti = self.session.next_tti();
-        match self.context.settings.on_loss {
-            OnLoss::End => return Err(BsError::HostLost { host, first, last, tti }),
+        let Some(&first_lost) = lost.first() else { return Ok(()) };
+        let (tti, now) = (self.session.next_tti(), now());
+        let settings = self.context.settings;
+        match settings.on_loss {
+            OnLoss::End => {
+                let lost = state.describe_host(first_lost);
+                return Err(BsError::HostLost { lost, tti });
+            }
             // No host can return the ledgers of the lost devices, so an interrupted run takes its outcome from the
             // replay.
             OnLoss::Wait if self.context.progress.is_stop_requested() => {
-                return Err(BsError::InterruptedAwaitingHost { host, first, last, tti });
+                let lost = state.describe_host(first_lost);
+                return Err(BsError::InterruptedAwaitingHost { lost, tti });
             }
-            OnLoss::Wait => {}
+            OnLoss::Wait => {
+                if let Some(limit) = settings.loss_timeout
+                    && let Some(overdue) = state.lost_hosts.find_lost_for(limit, now)
+                {
+                    let lost = state.describe_host(overdue);
+                    return Err(BsError::LossTimeout { lost, tti, limit });
+                }
+            }
             OnLoss::Continue => {
                 for assignment in lost {
                     let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);
@@ -60,11 +71,15 @@ impl RunLoop<'_> {
                 return Ok(());
             }
         }
-        for assignment in lost {
-            // The check runs many times a second while the run is waiting; each loss is reported once.
-            if state.warned_hosts.insert(assignment.host) {
-                let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);
-                let name = state.admission.host_name(host);
+        for (assignment, duration) in state.lost_hosts.take_due_warnings(now) {
+            let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);
+            let name = state.admission.host_name(host);
+            if let Some(duration) = duration {
+                let seconds = duration.as_secs();
+                let advice =
+                    "start another `reveille device`, or end the run with Ctrl-C and continue it with --resume";
+                tracing::warn!(%host, first, last, %tti, "still waiting for {name}, lost for {seconds} s; {advice}");
+            } else {
                 let status = "the run is waiting until a host runs its devices again";
                 tracing::warn!(%host, first, last, %tti, "lost {name}; {status}");
             }

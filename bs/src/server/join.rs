@@ -5,14 +5,18 @@
 //! so it is built without the lock of [`SharedState`]. After `Retry` a spare host repeats its request; `Refused` ends
 //! it (`device/src/host/join.rs`).
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use reveille_common::bus::{draw_secret, scaled_timeout};
 use reveille_common::deployment::Deployment;
+use reveille_common::digits::count_noun;
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::message::{BusCredentials, HostCheckpoint, HostSetup, JoinReply, JoinRequest};
+use reveille_common::message::{
+    BusCredentials, DeviceRange, HostCheckpoint, HostOffer, HostSetup, JoinReply, JoinRequest,
+};
 use reveille_common::secret::{HostCredential, Secret};
 
 use super::admission::{Assignment, JoiningHost};
@@ -23,6 +27,9 @@ use crate::scenario::Scenario;
 
 /// Interval between checks of the time limit and the stop flag during the wait for hosts.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Largest length of a host's name.
+const MAX_NAME_CHARS: usize = 128;
 
 /// Time for a joined host to become ready, before [`scaled_timeout`] lengthens it in a run with many hosts.
 const READY_TIMEOUT: Duration = Duration::from_secs(20);
@@ -54,6 +61,10 @@ impl JoinHandler {
                 "the request does not show the run's key; use the key of the process that started the run".to_owned(),
             );
         }
+        if request.offer == HostOffer::Nothing {
+            tracing::info!("{} forwards messages of the run", displayable_name(&request.name));
+            return JoinReply::Routes(self.bus_secret);
+        }
         let reply = self.assign_devices(request);
         // This wakes the loop, which takes the lock that `assign_devices` has released.
         self.shared.notify_run_loop();
@@ -76,38 +87,58 @@ impl JoinHandler {
         let newcomer = JoiningHost {
             nonce: request.nonce,
             token: draw_secret().map_err(|error| JoinReply::Refused(error.to_string()))?,
-            // Another process chose the name, which appears in logs, so its characters and length are limited.
-            name: request.name.chars().filter(|c| !c.is_control()).take(64).collect(),
-            offered_devices: request.count,
+            name: displayable_name(&request.name),
+            offered_devices: request.offer.max_devices(),
             requested_at: now(),
         };
         let token = newcomer.token;
-        let devices = self.scenario.run.devices;
+        // Without `OnLoss::Wait` the loss of a host removes its devices or ends the run, so none become free again.
+        if state.is_running && state.on_loss != OnLoss::Wait {
+            return Err(JoinReply::Refused("the run has begun".to_owned()));
+        }
+        if let HostOffer::Exactly(range) = request.offer {
+            state.check_range(range)?;
+        }
         if state.is_running {
-            // Without `OnLoss::Wait` the loss of a host removes its devices or ends the run, so none become free again.
-            if state.on_loss != OnLoss::Wait {
-                return Err(JoinReply::Refused("the run has begun".to_owned()));
-            }
-            let Some((lost, checkpoint)) = state.lost_hosts.find_takeover(newcomer.offered_devices) else {
+            let found = if let HostOffer::Exactly(range) = request.offer {
+                state.lost_hosts.find_takeover_of(range)
+            } else {
+                state.lost_hosts.find_takeover(newcomer.offered_devices)
+            };
+            let Some((lost, checkpoint)) = found else {
                 return Err(retry_reply(&state, newcomer.offered_devices));
             };
             let assignment = state.admission.take_over(newcomer, lost);
             state.lost_hosts.reserve(lost.host, assignment.host);
+            let (old, new) = (
+                state.admission.host_name(lost.host),
+                state.admission.host_name(assignment.host),
+            );
+            tracing::info!(host = %assignment.host, instead_of = %lost.host, "{new} takes over the devices of {old}");
             drop(state);
-            tracing::info!(host = %assignment.host, instead_of = %lost.host, "a host takes over");
             return Ok(self.welcome_reply(assignment, token, Some(checkpoint)));
         }
-        let Some(assignment) = state.admission.admit(newcomer) else {
-            let reason = format!("all {devices} devices of the run have a host already");
-            // With `wait` a spare process can still take over devices later, so it keeps asking.
-            return Err(if state.on_loss == OnLoss::Wait {
-                JoinReply::Retry(reason)
-            } else {
-                JoinReply::Refused(reason)
-            });
+        let newcomer = match request.offer {
+            HostOffer::AtMost(_) | HostOffer::Exactly(_) => newcomer,
+            HostOffer::Share => JoiningHost {
+                offered_devices: state.request_share(request.nonce)?,
+                ..newcomer
+            },
+            // Devices that are free although every waiting host has its share: a host with a share has died since.
+            HostOffer::Lost if state.has_leftover_devices() => newcomer,
+            HostOffer::Lost | HostOffer::Nothing => return Err(JoinReply::Retry("no host is lost".to_owned())),
+        };
+        let name = newcomer.name.clone();
+        let admitted = if let HostOffer::Exactly(range) = request.offer {
+            state.admission.admit_exactly(newcomer, range)
+        } else {
+            state.admission.admit(newcomer)
+        };
+        let Some(assignment) = admitted else {
+            return Err(state.surplus_reply());
         };
         drop(state);
-        tracing::info!(host = %assignment.host, first = %assignment.first, devices = assignment.count, "a host joins");
+        tracing::info!(host = %assignment.host, first = %assignment.first, devices = assignment.count, "{name} joins");
         Ok(self.welcome_reply(assignment, token, None))
     }
 
@@ -137,6 +168,11 @@ impl JoinHandler {
     }
 }
 
+/// Returns `name` for logs. Another process chose it, so its characters and length are limited.
+fn displayable_name(name: &str) -> String {
+    name.chars().filter(|c| !c.is_control()).take(MAX_NAME_CHARS).collect()
+}
+
 /// Builds the reply for a host that offers to run `offered` devices while no devices are available for it.
 fn retry_reply(state: &ServerState, offered: u32) -> JoinReply {
     let lost_counts: Vec<u32> = state
@@ -145,7 +181,7 @@ fn retry_reply(state: &ServerState, offered: u32) -> JoinReply {
         .map(|assignment| assignment.count)
         .collect();
     JoinReply::Retry(if lost_counts.is_empty() {
-        format!("all {} devices of the run have a host", state.admission.devices())
+        state.full_run_text()
     } else if lost_counts.iter().any(|count| *count <= offered) {
         "the devices of a lost host are not ready for this process: their replay runs, or another process has them"
             .to_owned()
@@ -159,6 +195,85 @@ fn retry_reply(state: &ServerState, offered: u32) -> JoinReply {
 }
 
 impl ServerState {
+    /// Returns the refusal for a host that offers to run exactly `range`, unless all of it is free or lost. If another
+    /// host has the same range, it may be an earlier process of the same container, so the newcomer has to ask again.
+    fn check_range(&self, range: DeviceRange) -> Result<(), JoinReply> {
+        let devices = self.admission.devices();
+        if !range.is_valid(devices) {
+            return Err(JoinReply::Refused(format!(
+                "{range}: the run has {}, from 0 to {}; correct --range",
+                count_noun(devices, "device"),
+                devices.saturating_sub(1)
+            )));
+        }
+        let is_shared = |other: &Assignment| {
+            let other = other.devices();
+            range.contains(other.first) || other.contains(range.first)
+        };
+        let Some(other) = self.admission.assignments().find(is_shared) else {
+            return Ok(());
+        };
+        let name = self.admission.host_name(other.host);
+        if other.devices() != range {
+            return Err(JoinReply::Refused(format!(
+                "{range}: {name} has {}; give each process other devices with --range",
+                other.devices()
+            )));
+        }
+        if self.lost_hosts.assignments().any(|lost| lost.devices() == range) {
+            return Ok(());
+        }
+        Err(JoinReply::Retry(format!("{name} runs {range}")))
+    }
+
+    /// Returns the number of devices that the host which drew `nonce` gets as its share, or else the reply to send.
+    fn request_share(&mut self, nonce: u64) -> Result<u32, JoinReply> {
+        let free = self.admission.free_device_count();
+        if free == 0 {
+            return Err(self.surplus_reply());
+        }
+        self.share_queue
+            .request(nonce, free, now())
+            .ok_or(JoinReply::AwaitShare)
+    }
+
+    /// Whether devices are free that no waiting host will get as its share.
+    fn has_leftover_devices(&mut self) -> bool {
+        self.admission.free_device_count() > 0 && self.share_queue.is_idle(now())
+    }
+
+    fn full_run_text(&self) -> String {
+        let devices = count_noun(self.admission.devices(), "device");
+        format!("the run has {devices}, and each has a host")
+    }
+
+    /// Returns the reply for a host that finds all devices assigned before the run begins.
+    fn surplus_reply(&self) -> JoinReply {
+        let reason = self.full_run_text();
+        // With `wait` a spare process can still take over devices later, so it keeps asking.
+        if self.on_loss == OnLoss::Wait {
+            JoinReply::Retry(reason)
+        } else {
+            JoinReply::Refused(reason)
+        }
+    }
+
+    /// Logs a warning that only `joined` devices have joined, or that hosts are not ready. Nothing has changed for the
+    /// time `waited`.
+    fn warn_of_missing_devices(&self, joined: u32, waited: Duration) {
+        let (seconds, devices) = (waited.as_secs(), count_noun(self.admission.devices(), "device"));
+        let hosts = count_noun(self.admission.assigned_host_count() as u32, "host");
+        if joined == self.admission.devices() {
+            let ready = self.admission.active_host_count();
+            tracing::warn!("{devices} have joined, on {hosts}, of which only {ready} are ready after {seconds} s");
+        } else {
+            tracing::warn!(
+                "{joined} of {devices} have joined, on {hosts}, and no further one for {seconds} s; start more device \
+                 processes, without --count or with a larger one"
+            );
+        }
+    }
+
     /// Marks `host` as lost. If it was to take over the devices of a lost host, cancels this takeover instead.
     pub(super) fn mark_lost(&mut self, host: HostId) {
         // If the new host of a takeover is lost before it runs the devices, another host can take them over.
@@ -199,15 +314,48 @@ impl ServerState {
         if let Some((lost, outage)) = self.lost_hosts.complete_takeover(host, now())
             && let Some(assignment) = self.admission.assignment(host)
         {
+            let (first, last, outage) = (assignment.first.0, assignment.last().0, outage.as_secs_f64());
+            let (new, old) = (self.admission.host_name(host), self.admission.host_name(lost.host));
+            tracing::warn!(%host, first, last, "{new} runs the devices of {old}, which had no host for {outage:.2} s");
             self.admission.revoke(lost.host);
             self.barrier.roster_mut().replace(lost.host, assignment);
-            self.warned_hosts.remove(&lost.host);
             // The new host resumes before the last grant, so the loop must retransmit that grant.
             self.needs_retransmit = true;
-            let (first, last, outage) = (assignment.first.0, assignment.last().0, outage.as_secs_f64());
-            let lost = lost.host;
-            tracing::warn!(%host, first, last, "devices of lost host {lost} run again after {outage:.2} s");
         }
+    }
+}
+
+/// Decides when to warn the operator about missing devices.
+struct JoinWatch {
+    joined: u32,
+    /// Time of the last change of `joined`.
+    changed: Instant,
+    /// Time after that change until the next warning.
+    interval: Duration,
+}
+
+impl JoinWatch {
+    const fn new(started: Instant) -> Self {
+        Self {
+            joined: 0,
+            changed: started,
+            // Before the first process, the operator may still be about to start it.
+            interval: Duration::from_secs(30),
+        }
+    }
+
+    /// Returns the time since the last change of `joined` if a warning is due. The first warning comes after 30 s, or
+    /// 5 s after a change; the interval then doubles.
+    fn take_due_warning(&mut self, joined: u32, now: Instant) -> Option<Duration> {
+        if joined != self.joined {
+            (self.joined, self.changed, self.interval) = (joined, now, Duration::from_secs(5));
+        }
+        let waited = now.saturating_duration_since(self.changed);
+        let is_due = waited >= self.interval;
+        if is_due {
+            self.interval *= 2;
+        }
+        is_due.then_some(waited)
     }
 }
 
@@ -219,12 +367,15 @@ pub(super) async fn wait_for_all_devices(
     progress: &RunProgress,
 ) -> Result<(), BsError> {
     let started = now();
+    let mut join_watch = JoinWatch::new(started);
     loop {
         {
             let mut state = shared.lock();
-            progress
-                .joined_devices
-                .store(u64::from(state.admission.assigned_device_count()), Ordering::Relaxed);
+            let joined = state.admission.assigned_device_count();
+            if let Some(waited) = join_watch.take_due_warning(joined, now()) {
+                state.warn_of_missing_devices(joined, waited);
+            }
+            progress.joined_devices.store(u64::from(joined), Ordering::Relaxed);
             progress
                 .active_host_count
                 .store(state.admission.active_host_count() as u64, Ordering::Relaxed);
@@ -234,6 +385,9 @@ pub(super) async fn wait_for_all_devices(
                     devices = scenario.run.devices,
                     "all devices have joined"
                 );
+                let hosts = assignments.iter().map(|assignment| assignment.host);
+                let names = hosts.map(|host| state.admission.host_name(host));
+                state.process_count = names.collect::<BTreeSet<_>>().len();
                 state.barrier.roster_mut().set_hosts(assignments);
                 state.is_running = true;
                 return Ok(());
@@ -241,7 +395,8 @@ pub(super) async fn wait_for_all_devices(
             // A process can die between joining and declaring its liveliness token; no token event would then free its
             // devices.
             for host in state.overdue_hosts() {
-                tracing::warn!(%host, "a host joined and never became ready; its devices are free again");
+                let name = state.admission.host_name(host);
+                tracing::warn!(%host, "{name} joined and never became ready; its devices are free again");
                 state.admission.free_host(host);
             }
         }

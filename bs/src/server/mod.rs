@@ -2,8 +2,8 @@
 //! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings of the bus side.
 //!
 //! `subscriptions` receives all messages and checks credentials; `state` is shared by its callbacks and the run loop.
-//! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through
-//! `downlink` and waits at the [`barrier`], under the [`clock`]. [`roster`] checks received values.
+//! `join`, [`admission`] and `share_queue` assign devices to hosts. `run_loop` carries out the actions of the session,
+//! sends through `downlink` and waits at the [`barrier`], under the [`clock`]. [`roster`] checks received values.
 //! `failure_detection`, [`failover`] and `removed_hosts` handle lost hosts; [`policy_port`] obtains external decisions.
 //! `actions` accepts the actions of operators. `config` and `error` declare the settings, outcome and errors of a run,
 //! and `serve` its entry points.
@@ -35,6 +35,8 @@ pub mod roster;
 mod run_loop;
 #[cfg(feature = "host")]
 mod serve;
+#[cfg(feature = "host")]
+mod share_queue;
 #[cfg(feature = "host")]
 mod state;
 #[cfg(feature = "host")]

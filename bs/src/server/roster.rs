@@ -2,7 +2,7 @@
 //! here, since a host can send anything: a new field of an answer needs a check that the barrier calls.
 
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::message::{DeviceSetup, FailedTransmission, Report, WakeOutcome};
+use reveille_common::message::{DeviceSetup, FailedTransmission, Report, UnableDetectors, WakeOutcome};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
@@ -154,21 +154,21 @@ impl Roster {
         }
     }
 
-    /// Whether the host at `position` can have had this number of reports, these failures and this number of unpowered
-    /// devices in one TTI.
+    /// Whether the host at `position` can have had this number of reports, these failures and these `unable` devices
+    /// in one TTI.
     pub(crate) fn is_possible_answer(
         &self,
         position: usize,
         reports: u32,
         failures: &[FailedTransmission],
-        unpowered: u32,
+        unable: UnableDetectors,
     ) -> bool {
         let assignment = self.assignments[position];
         let are_own_failures = failures
             .iter()
             .all(|f| self.owns(position, f.device) && self.is_possible_failure(f));
         // A device has at most one of these outcomes. In 64 bits, because a host can send any numbers.
-        let outcomes = u64::from(reports) + u64::from(unpowered) + failures.len() as u64;
+        let outcomes = u64::from(reports) + unable.total() + failures.len() as u64;
         are_own_failures && outcomes <= u64::from(assignment.count)
     }
 
@@ -312,13 +312,17 @@ pub(crate) mod tests {
             device: DeviceId(device),
             drained_energy: Energy::from_micro(drained),
         };
-        assert!(roster.is_possible_answer(0, 2, &[failure(4, 9_999_999)], 2));
+        let one_each = UnableDetectors {
+            unpowered: 1,
+            failed: 1,
+        };
+        assert!(roster.is_possible_answer(0, 2, &[failure(4, 9_999_999)], one_each));
         assert!(
-            !roster.is_possible_answer(0, 4, &[failure(4, 0)], 1),
+            !roster.is_possible_answer(0, 3, &[failure(4, 0)], one_each),
             "more outcomes than devices"
         );
         assert!(
-            !roster.is_possible_answer(0, 0, &[failure(5, 0)], 0),
+            !roster.is_possible_answer(0, 0, &[failure(5, 0)], UnableDetectors::default()),
             "a device of another host"
         );
         assert!(

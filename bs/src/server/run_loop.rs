@@ -15,7 +15,7 @@ use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
 use super::barrier::GrantOptions;
-use super::clock::Lateness;
+use super::clock::{Lateness, PaceWatch};
 use super::config::{RunProgress, ServerConfig, ServerOutcome};
 use super::downlink::Downlink;
 use super::error::BsError;
@@ -60,6 +60,7 @@ pub(super) struct RunLoop<'a> {
     lateness: Lateness,
     /// The pace to which `last_due` belongs; the clock may have a new one.
     pace: Pace,
+    pace_watch: PaceWatch,
     /// The last TTI whose due time [`RunLoop::wait_until_due`] has reached.
     last_paced: Option<Tti>,
     /// The moment at which a TTI was or will be due, under a real-time pace.
@@ -81,12 +82,14 @@ pub(super) async fn run(
         session,
         grant_count: 0,
         lateness: Lateness::default(),
+        pace_watch: PaceWatch::default(),
         last_paced: None,
         last_due: None,
     };
     run_loop.publish_progress();
     run_loop.context.progress.has_begun.store(true, Ordering::Relaxed);
     run_loop.context.shared.lock().copy_owners_to(run_loop.context.progress);
+    let first_tti = run_loop.session.next_tti();
     let started = now();
     let ledgers = run_loop.run_ttis(observer).await;
     run_loop.publish_progress();
@@ -104,12 +107,13 @@ pub(super) async fn run(
         Err(error) => return Err(error),
     };
     let running_time = started.elapsed();
-    let mut state = run_loop.context.shared.lock();
+    let state = run_loop.context.shared.lock();
     Ok(ServerOutcome {
         outcome,
+        first_tti,
         joining_time,
         running_time,
-        host_count: state.barrier.roster_mut().host_count(),
+        process_count: state.process_count,
         grant_count: run_loop.grant_count,
         lateness: run_loop.lateness,
         malformed_payloads: run_loop.context.bus.malformed_payloads(),
@@ -191,7 +195,7 @@ impl RunLoop<'_> {
             }
             // The new pace counts from now; due times of the old one would make it late from the start.
             if pace != self.pace {
-                (self.pace, self.last_due) = (pace, None);
+                (self.pace, self.last_due, self.pace_watch) = (pace, None, PaceWatch::default());
             }
             self.context.progress.is_paused.store(is_paused, Ordering::Relaxed);
             let needs_retransmit = std::mem::take(&mut self.context.shared.lock().needs_retransmit);
@@ -327,7 +331,7 @@ impl RunLoop<'_> {
         let result = ActionResult::GrantAnswers(GrantAnswers {
             reports: &mut answers.reports,
             failures: &mut answers.failures,
-            unpowered: answers.unpowered,
+            unable: answers.unable,
             views: &answers.views,
         });
         self.session.apply_result(result, observer);
@@ -355,7 +359,14 @@ impl RunLoop<'_> {
 
     /// Removes the devices of hosts that were lost for good in the open TTI.
     fn remove_lost(&mut self, tti: Tti, observer: &mut impl Observer) -> Result<(), BsError> {
-        let lost = std::mem::take(&mut self.context.shared.lock().pending_removals);
+        let lost = {
+            let mut state = self.context.shared.lock();
+            let lost = std::mem::take(&mut state.pending_removals);
+            if !lost.is_empty() {
+                state.copy_owners_to(self.context.progress);
+            }
+            lost
+        };
         for assignment in lost {
             self.removed_hosts.add(assignment, tti);
             let devices = (assignment.first.0..=assignment.last().0).map(DeviceId);
@@ -420,6 +431,15 @@ impl RunLoop<'_> {
         };
         if due < now {
             self.lateness.record_delay(now - due);
+        }
+        let delay = now.saturating_duration_since(due);
+        if let Some(mean) = self.pace_watch.record(first, delay, now.max(due)) {
+            let (pace, mean) = (self.pace, mean.as_secs_f64() * 1e3);
+            tracing::warn!(
+                tti = %first,
+                "a TTI takes {mean:.1} ms, with the network and the devices, but the pace is one every {pace}: TTIs \
+                 begin later and later; use a slower --pace, or `reveille clock pace`"
+            );
         }
         // The next TTI counts from when this one was due, not from when it began, so delays do not add up.
         self.last_due = Some((first, due));

@@ -3,9 +3,10 @@
 //! error, since hosts wait for it.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_common::ids::DeviceId;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{ClockMessage, Frame, HostCheckpoint};
 use reveille_common::score::WindowRecord;
 
@@ -20,6 +21,11 @@ use crate::cycle::PreparedRun;
 use crate::observer::frames::FrameObserver;
 use crate::observer::{Notification, Observer};
 use crate::session::Session;
+
+/// Longest wait for dismissed hosts to leave: a frozen one never does.
+const DISMISSAL_PATIENCE: Duration = Duration::from_secs(2);
+/// Interval between checks of whether they have left.
+const LEAVE_CHECK_INTERVAL: Duration = Duration::from_millis(10);
 
 /// A run to serve.
 pub struct RunSpec<'a> {
@@ -107,8 +113,12 @@ impl Observer for BusObserver<'_> {
         }
     }
 
-    fn wants_states(&self) -> bool {
-        self.bus.is_observed() && self.frame_observer.wants_states()
+    fn states_due(&self) -> Tti {
+        if self.bus.is_observed() {
+            self.frame_observer.states_due()
+        } else {
+            Tti::NEVER
+        }
     }
 
     fn wants_beliefs(&self) -> bool {
@@ -129,12 +139,21 @@ impl Observer for BatteryGauge<'_> {
     }
 }
 
-/// Dismisses all hosts: the run has ended and its results are written, or it has failed for the given reason.
+/// Dismisses all hosts: the run has ended and its results are written, or it has failed for the given reason. Returns
+/// once they have left, or after `DISMISSAL_PATIENCE`.
 ///
 /// # Errors
 /// If the bus fails.
-pub fn dismiss_hosts(bus: &Bus, failure: Option<String>) -> Result<(), BsError> {
+pub async fn dismiss_hosts(bus: &Bus, failure: Option<String>) -> Result<(), BsError> {
     let message = failure.map_or(ClockMessage::Dismiss, ClockMessage::RunFailed);
     bus.publisher::<ClockMessage>()?.publish(&message)?;
+    // The message can still be on a slow link, and the end of this session would overtake it at a router.
+    let deadline = now() + DISMISSAL_PATIENCE;
+    // The results are complete, so a failed query only ends the wait.
+    while let Ok(1..) = bus.count_alive_hosts(deadline.saturating_duration_since(now())).await
+        && now() < deadline
+    {
+        tokio::time::sleep(LEAVE_CHECK_INTERVAL).await;
+    }
     Ok(())
 }

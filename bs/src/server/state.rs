@@ -6,8 +6,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use reveille_common::deployment::Deployment;
-use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{ClockCommand, ClockStatus, LostHost, OperatorAction};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{ClockCommand, ClockStatus, HostSummary, OperatorAction};
 use tokio::sync::Notify;
 
 use super::admission::{Admission, Assignment};
@@ -16,12 +16,14 @@ use super::clock::VirtualClock;
 use super::config::{OnLoss, RunProgress, ServerConfig};
 use super::failover::LostHosts;
 use super::roster::Roster;
+use super::share_queue::ShareQueue;
 use crate::scenario::Scenario;
 
 /// State that callbacks change and the run loop reads.
 #[expect(clippy::struct_excessive_bools, reason = "each is a separate fact about the run")]
 pub(super) struct ServerState {
     pub(super) admission: Admission,
+    pub(super) share_queue: ShareQueue,
     pub(super) barrier: Barrier,
     pub(super) clock: VirtualClock,
     /// The first TTI that is not granted yet.
@@ -38,12 +40,12 @@ pub(super) struct ServerState {
     /// Whether the run loop is deciding which TTIs to grant next, so that `next_tti` is about to change. Only
     /// [`SharedState::end_granting`] resets it.
     pub(super) is_granting: bool,
-    /// Lost hosts whose loss the log has reported.
-    pub(super) warned_hosts: BTreeSet<HostId>,
     /// Whether a host has returned or taken over, so that the last grant must be retransmitted.
     pub(super) needs_retransmit: bool,
     /// Whether the run has begun. From then on only devices of lost hosts are assigned.
     pub(super) is_running: bool,
+    /// Number of processes with which the run began. One with several ranges has several hosts.
+    pub(super) process_count: usize,
     /// Reason why the run cannot continue, found outside the loop.
     pub(super) failure: Option<String>,
     /// Action when a host is lost.
@@ -82,16 +84,29 @@ impl ServerState {
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
-            lost: self
-                .lost_hosts
-                .assignments()
-                .map(|assignment| LostHost {
-                    host: assignment.host,
-                    first: assignment.first,
-                    last: assignment.last(),
-                })
-                .collect(),
+            hosts: self.host_summaries(),
         }
+    }
+
+    /// Describes the host with this assignment.
+    pub(super) fn describe_host(&self, assignment: Assignment) -> HostSummary {
+        HostSummary {
+            host: assignment.host,
+            name: self.admission.host_name(assignment.host).to_owned(),
+            first: assignment.first,
+            last: assignment.last(),
+            is_lost: self.lost_hosts.assignments().any(|lost| lost.host == assignment.host),
+        }
+    }
+
+    /// Returns the hosts with devices, lost ones included, in the order of their devices.
+    fn host_summaries(&self) -> Vec<HostSummary> {
+        // A host that is still to take over devices has none yet.
+        let has_devices = |assignment: &Assignment| self.lost_hosts.reservation_of(assignment.host).is_none();
+        let with_devices = self.admission.assignments().filter(has_devices);
+        let mut summaries: Vec<HostSummary> = with_devices.map(|assignment| self.describe_host(assignment)).collect();
+        summaries.sort_unstable_by_key(|summary| summary.first);
+        summaries
     }
 }
 
@@ -118,6 +133,7 @@ impl SharedState {
         }
         let state = ServerState {
             admission: Admission::new(scenario.run.devices),
+            share_queue: ShareQueue::default(),
             barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
             clock,
             next_tti,
@@ -127,9 +143,9 @@ impl SharedState {
             removed_devices: BTreeSet::new(),
             pending_actions: Vec::new(),
             is_granting: false,
-            warned_hosts: BTreeSet::new(),
             needs_retransmit: false,
             is_running: false,
+            process_count: 0,
             failure: None,
             on_loss: settings.on_loss,
         };

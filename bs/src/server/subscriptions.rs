@@ -138,8 +138,7 @@ impl ServerState {
         match (is_alive, self.is_running) {
             (true, _) => {
                 if let Some(newcomer) = self.lost_hosts.end_loss(host, now()) {
-                    tracing::warn!(%host, "a lost host is back");
-                    self.warned_hosts.remove(&host);
+                    tracing::warn!(%host, "{} is back", self.admission.host_name(host));
                     self.needs_retransmit = true;
                     // The returned host still has its devices, so the new host that was to take them over is revoked.
                     newcomer.and_then(|newcomer| self.admission.revoke(newcomer));
@@ -151,8 +150,8 @@ impl ServerState {
             (false, false) => {
                 // Before the run no device has state, so its devices are immediately free for another process.
                 if let Some(assignment) = self.admission.free_host(host) {
-                    let devices = assignment.count;
-                    tracing::warn!(%host, devices, "a host left before the run began; its devices are free again");
+                    let (devices, name) = (assignment.count, self.admission.host_name(host));
+                    tracing::warn!(%host, devices, "{name} left before the run began; its devices are free again");
                 }
             }
         }

@@ -456,9 +456,12 @@ impl Session {
             .max(first + 1);
         // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
         self.resume_point = self.position();
-        self.wants_states = observer.wants_states();
         self.cycle.apply_changes(&changes, observer);
-        let (grant, updates) = self.cycle.grant(limit.min(self.next_boundary), observer);
+        let limit = limit
+            .min(self.next_boundary)
+            .min(observer.states_due().max(first).saturating_add(1));
+        let (grant, updates) = self.cycle.grant(limit, observer);
+        self.wants_states = observer.states_due() <= grant.last;
         self.plan_from = updates.last().map(|update| update.from).or(self.plan_from);
         self.grant_message = GrantMessage {
             first,

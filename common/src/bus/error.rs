@@ -11,6 +11,18 @@ pub enum BusError {
     /// A text that is not an endpoint, and the reason.
     #[error("endpoint {0:?}: {1}; it must look like tcp/HOST:PORT, for example tcp/127.0.0.1:7447")]
     Endpoint(String, &'static str),
+    /// An encrypted endpoint without certificates.
+    #[error(
+        "endpoint {0:?}: TLS needs certificates; give `bs`, `device` and other commands --tls FOLDER, which `reveille \
+         tls init` writes, or use tcp/HOST:PORT without encryption"
+    )]
+    NoCertificate(String),
+    /// An endpoint without encryption, although certificates are given.
+    #[error("endpoint {0:?}: not encrypted, although --tls is given; use tls/HOST:PORT, or omit --tls")]
+    NotEncrypted(String),
+    /// An encrypted endpoint in a build without TLS.
+    #[error("endpoint {0:?}: this build has no TLS; build it with `cargo build --release --features tls`")]
+    NoTls(String),
     /// The BS cannot listen on this endpoint, for this reason.
     #[error(
         "cannot listen on {0}: {1}; if the port is in use, choose another with --listen, or tcp/127.0.0.1:0 for any \
@@ -20,6 +32,18 @@ pub enum BusError {
     /// No BS answers.
     #[error("no base station answers at {endpoint} within {patience:?}; check that it runs, and check the address")]
     Connect {
+        /// The endpoint.
+        endpoint: String,
+        /// Time for which the client tried to connect.
+        patience: Duration,
+    },
+    /// No BS completes a TLS handshake and opens a session.
+    #[error(
+        "no base station accepts a TLS connection at {endpoint} within {patience:?}; check that it runs, check the \
+         address, and compare the certificates of both sides with `reveille tls show FOLDER`; the base station logs a \
+         refused certificate"
+    )]
+    ConnectTls {
         /// The endpoint.
         endpoint: String,
         /// Time for which the client tried to connect.

@@ -57,7 +57,7 @@ impl Bus {
     /// If zenoh refuses.
     pub async fn list_runs(&self, patience: Duration) -> Result<Vec<String>, BusError> {
         let tokens = self
-            .query_tokens(KeyExprs::all_bs_liveliness().to_owned(), Some(patience))
+            .query_tokens(KeyExprs::all_bs_liveliness().to_owned(), patience)
             .await?;
         // In `KeyExprs::all_bs_liveliness` the second segment is the name of the run.
         let name = |key: &String| key.split('/').nth(1).map(str::to_owned);
@@ -66,25 +66,22 @@ impl Bus {
         Ok(runs)
     }
 
-    /// Returns the number of this run's live hosts that this session can reach, within zenoh's default timeout.
+    /// Returns the number of this run's live hosts that this session can reach, found within `patience`.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub async fn count_alive_hosts(&self) -> Result<u32, BusError> {
-        let tokens = self.query_tokens(self.key_exprs.all_host_liveliness(), None).await?;
+    pub async fn count_alive_hosts(&self, patience: Duration) -> Result<u32, BusError> {
+        let tokens = self
+            .query_tokens(self.key_exprs.all_host_liveliness(), patience)
+            .await?;
         Ok(tokens.iter().flatten().count() as u32)
     }
 
-    /// Queries the tokens that match `key`; an error reply becomes `None`. Without `patience`, zenoh's default timeout
-    /// applies. Boxed, so zenoh's code is compiled only here.
-    fn query_tokens(&self, key: String, patience: Option<Duration>) -> TokensFuture<'_> {
+    /// Queries the tokens that match `key`; an error reply becomes `None`. Boxed, so zenoh's code is compiled only
+    /// here.
+    fn query_tokens(&self, key: String, patience: Duration) -> TokensFuture<'_> {
         Box::pin(async move {
-            let query = self.session.liveliness().get(key);
-            let query = match patience {
-                Some(patience) => query.timeout(patience),
-                None => query,
-            };
-            let replies = query.await?;
+            let replies = self.session.liveliness().get(key).timeout(patience).await?;
             let mut tokens = Vec::new();
             while let Ok(reply) = replies.recv_async().await {
                 let sample = reply.result().ok();

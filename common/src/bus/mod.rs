@@ -1,12 +1,12 @@
 //! The bus: zenoh sessions and typed topics. No other module opens a session; start at [`Bus::listen`] and
 //! [`Bus::connect`] in `session`.
 //!
-//! The BS listens as a zenoh router; all other processes connect to it as clients over TCP. Links are reliable and
-//! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the messages: a payload's
-//! type determines its kind and its key, so no two types share a key. All processes of a run must have the same
-//! version. A `key` is a key expression of zenoh; the run's key is a secret that authorises queries.
-//! `access` defines the rights of a peer, so a new kind needs an entry there. Callbacks run on zenoh's threads and must
-//! not block.
+//! The BS listens as a zenoh router. All other processes connect to it as clients, directly or through routers
+//! (`router`), over TCP, or over TLS with a certificate for each role (`tls`). Links are reliable and blocking, so only
+//! the modelled radio causes losses and delays. [`crate::message`] defines the messages: a payload's type determines
+//! its kind and its key, so no two types share a key. All processes of a run must have the same version. A `key` is a
+//! key expression of zenoh; the run's key is a secret that authorises queries. `access` defines the rights of a peer,
+//! so a new kind needs an entry there. Callbacks run on zenoh's threads and must not block.
 //!
 //! In the BS's session a [`Tap`] copies the traffic of the emulation plane for observers, before it is sent and before
 //! it is decoded. The run itself publishes frames of the air plane and the ground truth with [`Bus::publish_frame`].
@@ -17,8 +17,11 @@ mod liveliness;
 mod policy_port;
 mod query;
 mod raw;
+mod refusals;
+mod router;
 mod session;
 mod tap;
+mod tls;
 
 use std::marker::PhantomData;
 use std::pin::Pin;
@@ -42,8 +45,11 @@ use crate::secret::{HostCredential, Secret};
 pub use error::BusError;
 pub use policy_port::{PortReply, PortRequest, PortRequests, Replies};
 pub use raw::RawTopic;
+pub use refusals::RefusalLog;
+pub use router::Upstream;
 pub use session::{draw_nonce, draw_secret, resolve_listen_endpoint, scaled_timeout};
 pub use tap::{FrameSink, Tap};
+pub use tls::{Endpoint, Role, TlsFiles};
 
 /// Interval at which the queue of frames for observers is checked.
 const FLUSH_CHECK_INTERVAL: Duration = Duration::from_millis(2);

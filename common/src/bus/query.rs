@@ -3,6 +3,7 @@
 //! encoded text, and the attachment of a query is the text of a secret: client and BS must agree on both.
 
 use std::pin::Pin;
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
 use zenoh::Wait;
@@ -18,6 +19,9 @@ const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Pause between two attempts of a repeated query.
 const ATTEMPT_PAUSE: Duration = Duration::from_millis(200);
 
+/// Replies that can wait for clients that read slowly.
+const MAX_QUEUED_REPLIES: usize = 1_024;
+
 /// Start of the refusal of a request that cannot be decoded.
 const MALFORMED: &str = "the request cannot be decoded";
 
@@ -25,6 +29,31 @@ const MALFORMED: &str = "the request cannot be decoded";
 type QueryHandler = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + Send + Sync;
 /// A future of an encoded reply, or of `None` without one.
 type ReplyFuture<'b> = Pin<Box<dyn Future<Output = Result<Option<Vec<u8>>, BusError>> + Send + 'b>>;
+
+/// A query and its reply; `Err` holds the reason of a refusal.
+type QueuedReply = (ZenohQuery, Result<Vec<u8>, String>);
+
+/// Starts a thread that sends replies until the sender is dropped. A reply blocks while its link is congested, and a
+/// process with TLS has a single zenoh thread, which could then not write to the link.
+fn start_replies() -> Result<SyncSender<QueuedReply>, BusError> {
+    let (queue, replies) = sync_channel::<QueuedReply>(MAX_QUEUED_REPLIES);
+    std::thread::Builder::new()
+        .name("replies".to_owned())
+        .spawn(move || {
+            for (query, reply) in replies {
+                let key = query.key_expr().as_str();
+                let sent = match reply {
+                    Ok(reply) => query.reply(key, reply).wait(),
+                    Err(why) => query.reply_err(codec::encode(&why)).wait(),
+                };
+                if let Err(error) = sent {
+                    tracing::debug!(key, %error, "the client that sent the query has disconnected");
+                }
+            }
+        })
+        .map_err(|e| BusError::Zenoh(format!("cannot start the thread of replies: {e}")))?;
+    Ok(queue)
+}
 
 impl Bus {
     /// Serves queries of type `Q`: `answer` maps each request to its reply. zenoh's threads call `answer`, so it must
@@ -64,18 +93,17 @@ impl Bus {
     /// Serves like [`Self::serve_with_secret`], in bytes. Not generic, so zenoh's code is compiled only here, once.
     fn serve_bytes(&self, key: String, answer: Box<QueryHandler>) -> Result<DeclarationGuard, BusError> {
         let bus = self.clone();
+        let reply_queue = start_replies()?;
         let on_query = move |query: ZenohQuery| {
             let payload = query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default();
             // An attachment that is not a valid secret counts as absent.
             let secret = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
             let key = query.key_expr().as_str();
             bus.copy_emulation(key, &payload);
-            let reply = match answer(&payload, secret) {
-                Ok(reply) => query.reply(key, reply).wait(),
-                Err(why) => query.reply_err(codec::encode(&why)).wait(),
-            };
-            if let Err(error) = reply {
-                tracing::debug!(key, %error, "the client that sent the query has disconnected");
+            let reply = answer(&payload, secret);
+            if reply_queue.try_send((query, reply)).is_err() {
+                // The client repeats its query.
+                tracing::debug!("too many replies wait for clients that do not read; dropped one");
             }
         };
         Ok(DeclarationGuard::new(

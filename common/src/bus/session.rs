@@ -1,12 +1,13 @@
-//! Opening and configuration of sessions: `Bus::listen` for the BS, `Bus::connect` for all other processes. Timeouts
-//! grow with the number of processes that share the machine. No digest depends on these settings.
+//! Opening and configuration of sessions: `Bus::listen` for the BS, `Bus::connect` for all other processes except
+//! routers, which are in `router`. Timeouts grow with the number of processes that share the machine. No digest depends
+//! on these settings.
 
 use std::io::ErrorKind;
 use std::time::Duration;
 
 use zenoh::Wait;
 
-use super::{Bus, BusError, Tap, access};
+use super::{Bus, BusError, Endpoint, Tap, access};
 use crate::keys::{KeyExprs, RunName};
 use crate::secret::Secret;
 
@@ -40,13 +41,16 @@ const COMMON_SETTINGS: [(&str, &str); 6] = [
     ("transport/unicast/max_sessions", "10000"),
 ];
 
+/// Intervals between attempts to connect. Set as a whole, because zenoh refuses single fields of `connect/retry`.
+pub(super) const CONNECT_RETRY: &str = "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}";
+
 impl Bus {
     /// Opens the BS's session, listening on `endpoint`; port 0 stands for any free one. Peers have only the rights
     /// that observers, hosts and operators need.
     ///
     /// # Errors
     /// If the endpoint is invalid or in use.
-    pub async fn listen(endpoint: &str, run: RunName) -> Result<Self, BusError> {
+    pub async fn listen(endpoint: impl Into<Endpoint<'_>>, run: RunName) -> Result<Self, BusError> {
         Self::listen_for_hosts(1, endpoint, run).await
     }
 
@@ -54,9 +58,13 @@ impl Bus {
     ///
     /// # Errors
     /// As [`Self::listen`].
-    pub async fn listen_for_hosts(processes: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        let keys = KeyExprs::for_members(run, draw_secret()?);
-        let rules = access::access_config(&keys);
+    pub async fn listen_for_hosts(
+        processes: u32,
+        endpoint: impl Into<Endpoint<'_>>,
+        run: RunName,
+    ) -> Result<Self, BusError> {
+        let (endpoint, keys) = (endpoint.into(), KeyExprs::for_members(run, draw_secret()?));
+        let rules = access::access_config(&keys, endpoint.tls.is_some(), None);
         Self::listen_as(processes, endpoint, keys, &[("access_control", &rules)]).await
     }
 
@@ -65,13 +73,13 @@ impl Bus {
     /// # Errors
     /// As [`Self::listen`].
     pub async fn listen_open(endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        Self::listen_as(1, endpoint, KeyExprs::new(run), &[]).await
+        Self::listen_as(1, endpoint.into(), KeyExprs::new(run), &[]).await
     }
 
     /// Opens a router with the settings `extra` in addition to the common ones, and starts its tap.
     async fn listen_as(
         processes: u32,
-        endpoint: &str,
+        endpoint: Endpoint<'_>,
         keys: KeyExprs,
         extra: &[(&str, &str)],
     ) -> Result<Self, BusError> {
@@ -80,6 +88,7 @@ impl Bus {
         for (key, value) in access::PEER_LIMITS.iter().chain(extra) {
             set_option(&mut config, key, value)?;
         }
+        set_tls(&mut config, endpoint, true)?;
         let (endpoint, session) = open_listening(config, endpoint).await?;
         let mut bus = Self::new(session, keys, &endpoint);
         bus.tap = Some(Tap::start(&bus.session, bus.key_exprs.tap())?);
@@ -90,7 +99,11 @@ impl Bus {
     ///
     /// # Errors
     /// If the endpoint is invalid, no BS answers there in time, or this machine cannot connect at all.
-    pub async fn connect(endpoint: &str, run: RunName, patience: Duration) -> Result<Self, BusError> {
+    pub async fn connect(
+        endpoint: impl Into<Endpoint<'_>>,
+        run: RunName,
+        patience: Duration,
+    ) -> Result<Self, BusError> {
         Self::connect_with_hosts(1, endpoint, run, patience).await
     }
 
@@ -100,37 +113,47 @@ impl Bus {
     /// As [`Self::connect`].
     pub async fn connect_with_hosts(
         processes: u32,
-        endpoint: &str,
+        endpoint: impl Into<Endpoint<'_>>,
         run: RunName,
         patience: Duration,
     ) -> Result<Self, BusError> {
-        let (hostname, port) = parse_endpoint(endpoint)?;
+        Self::connect_as(processes, endpoint.into(), run, patience).await
+    }
+
+    /// Connects like [`Self::connect_with_hosts`]. Not generic, so it is compiled only in this crate.
+    async fn connect_as(
+        processes: u32,
+        endpoint: Endpoint<'_>,
+        run: RunName,
+        patience: Duration,
+    ) -> Result<Self, BusError> {
+        let (protocol, hostname, port) = endpoint.parse()?;
+        let address = endpoint.address;
         let mut config = session_config("client", processes)?;
-        set_option(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
+        set_tls(&mut config, endpoint, false)?;
+        set_option(&mut config, "connect/endpoints", &format!("[{address:?}]"))?;
         set_option(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
         set_option(&mut config, "connect/exit_on_failure", "true")?;
-        // Set as a whole, because zenoh refuses single fields of `connect/retry`.
-        set_option(
-            &mut config,
-            "connect/retry",
-            "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
-        )?;
+        set_option(&mut config, "connect/retry", CONNECT_RETRY)?;
         // zenoh retries every failure until `patience` ends, even one that this machine cannot overcome.
         let opened = tokio::select! {
             opened = open(config) => opened?,
             // The standard library takes an IPv6 address without the brackets of an endpoint.
-            why = find_connect_obstacle(hostname.trim_matches(['[', ']']), port) => {
-                return Err(BusError::ConnectFailed(endpoint.to_owned(), why));
+            // Not with TLS, where the base station would log the connection as a refused one.
+            why = find_connect_obstacle(hostname.trim_matches(['[', ']']), port), if protocol == "tcp" => {
+                return Err(BusError::ConnectFailed(address.to_owned(), why));
             }
         };
         let session = opened.map_err(|error| {
-            tracing::debug!(%error, endpoint, "cannot connect");
-            BusError::Connect {
-                endpoint: endpoint.to_owned(),
-                patience,
+            tracing::debug!(%error, address, "cannot connect");
+            let endpoint = address.to_owned();
+            if protocol == "tls" {
+                BusError::ConnectTls { endpoint, patience }
+            } else {
+                BusError::Connect { endpoint, patience }
             }
         })?;
-        Ok(Self::new(session, KeyExprs::new(run), endpoint))
+        Ok(Self::new(session, KeyExprs::new(run), address))
     }
 }
 
@@ -157,7 +180,7 @@ fn no_randomness(error: getrandom::Error) -> BusError {
 }
 
 /// Returns the configuration of sessions of `mode`, on a machine shared by `processes` processes.
-fn session_config(mode: &str, processes: u32) -> Result<zenoh::Config, BusError> {
+pub(super) fn session_config(mode: &str, processes: u32) -> Result<zenoh::Config, BusError> {
     let mut config = zenoh::Config::default();
     let lease = scaled_timeout(LEASE, processes).as_millis().to_string();
     let role_settings = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
@@ -167,10 +190,19 @@ fn session_config(mode: &str, processes: u32) -> Result<zenoh::Config, BusError>
     Ok(config)
 }
 
-fn set_option(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusError> {
+pub(super) fn set_option(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusError> {
     config
         .insert_json5(key, value)
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
+}
+
+/// Adds the certificates of `endpoint`, if any, for a session that listens or one that connects.
+pub(super) fn set_tls(config: &mut zenoh::Config, endpoint: Endpoint<'_>, listens: bool) -> Result<(), BusError> {
+    let Some(files) = endpoint.tls else { return Ok(()) };
+    for (name, value) in files.settings(listens)? {
+        set_option(config, &format!("transport/link/tls/{name}"), &value)?;
+    }
+    Ok(())
 }
 
 /// Returns the reason why this machine cannot connect to `hostname`, once it is known. A BS that does not listen yet is
@@ -197,8 +229,11 @@ async fn find_connect_obstacle(hostname: &str, port: u16) -> String {
 
 /// Opens a session that listens on `endpoint` and returns it with the endpoint in use. Another process may take a free
 /// port between its choice and zenoh's use of it, in which case another port is chosen.
-async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(String, zenoh::Session), BusError> {
-    let is_any_port = parse_endpoint(endpoint)?.1 == 0;
+pub(super) async fn open_listening(
+    mut config: zenoh::Config,
+    endpoint: Endpoint<'_>,
+) -> Result<(String, zenoh::Session), BusError> {
+    let is_any_port = endpoint.parse()?.2 == 0;
     let mut attempts = 0;
     loop {
         attempts += 1;
@@ -211,7 +246,8 @@ async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(St
             }
             Err(error) => {
                 // The standard library names a taken port more clearly. zenoh ends its errors with a full stop.
-                resolve_listen_endpoint(&resolved)?;
+                let address = &*resolved;
+                resolve_listen_endpoint(Endpoint { address, ..endpoint })?;
                 let cause = error.to_string();
                 return Err(BusError::Listen(resolved, cause.trim_end_matches('.').to_owned()));
             }
@@ -240,67 +276,24 @@ fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     zenoh::open(config).wait()
 }
 
-/// Splits `tcp/HOST:PORT` into the name or address of a machine, and the port.
-fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
-    let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
-    let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
-    if protocol != "tcp" {
-        return Err(refuse("only the protocol tcp is supported"));
-    }
-    let (hostname, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
-    if hostname.is_empty() || hostname.contains(['/', '?', '#', ',']) {
-        return Err(refuse("no host"));
-    }
-    let port = port
-        .parse()
-        .map_err(|_| refuse("the port is not a number up to 65535"))?;
-    Ok((hostname, port))
-}
-
 /// Checks that `endpoint` can be listened on and replaces port 0 by a free port. zenoh would choose a port without
 /// reporting it.
 ///
 /// # Errors
 /// If the endpoint is invalid or in use.
-pub fn resolve_listen_endpoint(endpoint: &str) -> Result<String, BusError> {
-    let (hostname, port) = parse_endpoint(endpoint)?;
+pub fn resolve_listen_endpoint<'a>(endpoint: impl Into<Endpoint<'a>>) -> Result<String, BusError> {
+    let endpoint: Endpoint<'_> = endpoint.into();
+    let (protocol, hostname, port) = endpoint.parse()?;
     // The listener is dropped on return. If another process takes the port before zenoh, opening the session fails.
     let bound = std::net::TcpListener::bind((hostname.trim_matches(['[', ']']), port))
         .and_then(|listener| listener.local_addr())
-        .map_err(|e| BusError::Listen(endpoint.to_owned(), e.to_string()))?;
-    Ok(format!("tcp/{hostname}:{}", bound.port()))
+        .map_err(|e| BusError::Listen(endpoint.address.to_owned(), e.to_string()))?;
+    Ok(format!("{protocol}/{hostname}:{}", bound.port()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn invalid_endpoints_are_refused() {
-        assert_eq!(
-            parse_endpoint("tcp/127.0.0.1:7447").expect("valid"),
-            ("127.0.0.1", 7447)
-        );
-        assert_eq!(parse_endpoint("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
-        for endpoint in [
-            "",
-            "tcp",
-            "tcp/",
-            "tcp/host",
-            "tcp/:1",
-            "tcp/host:",
-            "tcp/host:65536",
-            "udp/host:1",
-            "host:1",
-            "tcp/a/b:1",
-            "tcp/a:1,tcp/b:1",
-        ] {
-            assert!(
-                matches!(parse_endpoint(endpoint), Err(BusError::Endpoint(..))),
-                "{endpoint}"
-            );
-        }
-    }
 
     #[test]
     fn timeouts_grow_with_the_number_of_processes() {

@@ -168,7 +168,8 @@ impl NameCheck<'_, '_> {
             .field_paths()
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
-        let candidates = elsewhere.iter().map(String::as_str).chain(valid.iter().copied());
+        let here: Vec<String> = valid.iter().map(|known| join_path(path, known)).collect();
+        let candidates = elsewhere.iter().chain(&here).map(String::as_str);
         let is_policy = self.declaration.registered.iter().any(|word| word.name == name);
         let hint = if is_policy {
             format!("; the policy `{name}` has no fields")

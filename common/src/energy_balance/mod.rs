@@ -9,10 +9,13 @@ use crate::deployment::Deployment;
 use crate::digits::format_significant;
 use crate::geometry::share_out_of_reach;
 use crate::harvest::{HarvestGap, HarvestSetup};
+use crate::ids::Tti;
 use crate::scenario::{DeviceClass, Scenario};
 
 /// Ratio of harvest to consumption from which energy does not limit a run.
 const AMPLE_RATIO: f64 = 10.0;
+/// Share of TTIs with affordable sensing below which devices can hardly sense.
+const SCARCE_SENSING: f64 = 0.05;
 
 /// The energy balance of a scenario.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +30,8 @@ pub struct EnergyBalance {
     pub d_max: f64,
     /// Share of the area that is farther than d_max from every device, `[0, 1]`.
     pub share_out_of_reach: f64,
+    /// Reports per device and TTI, on average, if each event brings one report and starts at the scenario's rate.
+    pub reports_per_device_tti: f64,
     /// The device classes that have devices, in the order of the scenario.
     pub classes: Vec<ClassBalance>,
 }
@@ -131,6 +136,10 @@ impl EnergyBalance {
             tti_seconds,
             d_max: scenario.sensing.d_max,
             share_out_of_reach: share_out_of_reach(&deployment.positions(), scenario.area, scenario.sensing.d_max),
+            reports_per_device_tti: scenario
+                .events
+                .mean_start_probability(scenario.run.seed, Tti::ZERO, Tti(ttis))
+                / f64::from(scenario.run.devices),
             classes: (0..).zip(&scenario.classes).filter_map(balance_of).collect(),
         }
     }
@@ -159,7 +168,7 @@ impl EnergyBalance {
         let mut warnings: Vec<String> = self
             .classes
             .iter()
-            .filter_map(|class| Some(format!("{}{}", self.subject(class), class.warning(self.ttis)?)))
+            .filter_map(|class| Some(format!("{}{}", self.subject(class), class.warning(self)?)))
             .collect();
         if let [first, .., last] = self.tti_seconds.as_slice() {
             warnings.push(format!(
@@ -204,12 +213,27 @@ impl ClassBalance {
         ratio(self.capacity, cost).map(|actions| (actions * (1.0 + 1e-12)).floor() as u64)
     }
 
-    /// A warning about the harvest in a run of `ttis` TTIs.
-    fn warning(&self, ttis: u64) -> Option<String> {
+    /// The share of TTIs in S1 that the harvest pays for, if a device sleeps in all others and sends this number of
+    /// reports per TTI. Negative if the harvest does not pay for sleeping and the reports; 1 or more if it pays for
+    /// sensing in every TTI. If sensing is as cheap as sleeping, the share is infinite, with the sign of the harvest
+    /// that is left.
+    pub fn affordable_sensing(&self, reports_per_tti: f64) -> f64 {
+        let left = self.harvest.mean - self.sleeping_cost - reports_per_tti * self.report_cost;
+        let extra_cost = self.sensing_cost - self.sleeping_cost;
+        if extra_cost > 0.0 {
+            left / extra_cost
+        } else {
+            left.signum() * f64::INFINITY
+        }
+    }
+
+    /// A warning about the harvest of the class in a run with `balance`.
+    fn warning(&self, balance: &EnergyBalance) -> Option<String> {
         let mean = self.harvest.mean;
         if mean == 0.0 {
             return Some(format!(
-                "no energy is harvested in the {ttis} TTIs of the run; change the fields of harvest, or run longer"
+                "no energy is harvested in the {} TTIs of the run; change the fields of harvest, or run longer",
+                balance.ttis
             ));
         }
         if self.sleeping_ratio().is_some_and(|ratio| ratio < 1.0) {
@@ -218,6 +242,23 @@ impl ClassBalance {
                  policy; change the fields of harvest, or lower energy.e_wur",
                 format_significant(mean, 3),
                 format_significant(self.sleeping_cost, 3)
+            ));
+        }
+        let sensing_share = self.affordable_sensing(balance.reports_per_device_tti);
+        if sensing_share < SCARCE_SENSING {
+            let affordable = if sensing_share > 0.0 {
+                format!(
+                    "sensing in only {} % of TTIs",
+                    format_significant(100.0 * sensing_share, 2)
+                )
+            } else {
+                "no sensing".to_owned()
+            };
+            return Some(format!(
+                "after sleeping and one report per event, the harvest of {} units per TTI pays for {affordable}, so \
+                 devices are often without power unless the policy seldom uses them; change the fields of harvest, \
+                 lower energy.e_tx, or raise devices",
+                format_significant(mean, 3)
             ));
         }
         let (action, consumption) = if self.sensing_cost >= self.sleeping_cost {

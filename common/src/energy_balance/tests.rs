@@ -226,3 +226,44 @@ fn implausible_harvests_cause_a_warning() {
     let free = warnings(&["energy.e_idle=0", "energy.e_wur=0"]).join("\n");
     assert!(free.contains("above 0 and the consumption 0"), "{free}");
 }
+
+/// The mean change of a battery per TTI with the share `sensing` of TTIs in S1 and `reports` reports per TTI.
+fn drift(class: &ClassBalance, sensing: f64, reports: f64) -> f64 {
+    let spent = sensing * class.sensing_cost + (1.0 - sensing) * class.sleeping_cost + reports * class.report_cost;
+    class.harvest.mean - spent
+}
+
+#[test]
+fn affordable_sensing_spends_the_harvest_exactly() {
+    for set in [
+        &["harvest.lambda=0.03"][..],
+        &["harvest.lambda=0.05", "devices=80", "events.alpha=0.4"],
+        &["harvest.lambda=0.05", "energy.e_tx=2", "energy.e_wur=0.01"],
+    ] {
+        let scenario = scenario_with(set);
+        let balance = balance_with(set);
+        let class = &balance.classes[0];
+        let reports = scenario.events.alpha / f64::from(scenario.run.devices);
+        assert!((balance.reports_per_device_tti - reports).abs() < 1e-12, "{set:?}");
+        for reports in [0.0, reports] {
+            let share = class.affordable_sensing(reports);
+            assert!((0.0..1.0).contains(&share), "{set:?}: {share}");
+            assert!(drift(class, share, reports).abs() < 1e-12, "{set:?}: {share}");
+            assert!(drift(class, share + 0.01, reports) < 0.0, "{set:?}: {share}");
+        }
+    }
+    let costless = balance_with(&["energy.e_wur=1", "energy.e_idle=1", "harvest.lambda=0.3"]);
+    assert!(costless.classes[0].affordable_sensing(0.0) > 1.0);
+}
+
+#[test]
+fn a_harvest_that_hardly_pays_for_sensing_has_a_warning() {
+    let warns = |set: &[&str]| {
+        let warnings = balance_with(set).warnings();
+        warnings.iter().any(|warning| warning.contains("one report per event"))
+    };
+    // One report per event costs 10 · 0.2 / N units per device and TTI.
+    assert!(warns(&["harvest.lambda=0.02", "harvest.e_b=4", "devices=30"]));
+    assert!(warns(&["harvest.lambda=0.03"]));
+    assert!(!warns(&["harvest.lambda=0.05"]) && !warns(&[]));
+}

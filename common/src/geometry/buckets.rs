@@ -86,6 +86,8 @@ impl Buckets {
         let padded_radius = radius * (1.0 + 1e-12) + self.slack;
         // A square above this is too far despite rounding, and skips the root.
         let max_squared = padded_radius * padded_radius * (1.0 + 1e-12);
+        // A square below this is near despite rounding, and skips it too.
+        let sure_squared = radius * radius * (1.0 - 1e-12);
         let (west_column, east_column) = (
             self.column(centre.x - padded_radius),
             self.column(centre.x + padded_radius),
@@ -97,7 +99,7 @@ impl Buckets {
             for &(index, p) in &self.points[start..end] {
                 let squared = centre.distance_squared(p);
                 // Squaring rounds, so a point exactly at the radius is decided by the root, as in `Point::distance`.
-                if squared <= max_squared && squared.sqrt() <= radius {
+                if squared <= sure_squared || squared <= max_squared && squared.sqrt() <= radius {
                     visit(index, squared);
                 }
             }

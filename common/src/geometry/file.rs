@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::{Area, Point};
 use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::{FieldReader, FieldSink, FieldValue, ScenarioError, Section, did_you_mean, quoted_list, truncate};
+use crate::digits::count_noun;
 
 const FILE_FIELD: &str = "layout.file";
 
@@ -99,7 +100,11 @@ fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(V
         return Err("has no columns `x` and `y`".to_owned());
     };
     if xs.len() < count {
-        return Err(format!("has {} points, too few for {count} devices", xs.len()));
+        return Err(format!(
+            "has {}, too few for {}",
+            count_noun(xs.len(), "point"),
+            count_noun(count, "device")
+        ));
     }
     let points: Vec<Point> = xs
         .iter()

@@ -7,7 +7,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
-use crate::digits::format_significant;
+use crate::digits::{count_noun, format_significant};
 use crate::ids::{DeviceId, Tti};
 use crate::plan::Plan;
 use crate::radio::AirLosses;
@@ -44,8 +44,9 @@ impl fmt::Display for PlanUpdate {
         let count = sensing().count();
         write!(f, "δ from TTI {from}: {prefix}")?;
         match plan {
+            Plan::Bits { .. } if count == 1 => f.write_str("1 device senses")?,
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
-            Plan::Periodic(_) => write!(f, "{count} of {entries} devices sense first")?,
+            Plan::Periodic(_) => write!(f, "{count} of {} sense first", count_noun(entries, "device"))?,
         }
         for (nth, device) in sensing().take(MAX_NAMED_DEVICES).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;

@@ -82,24 +82,51 @@ pub struct ClockStatus {
     pub begun: bool,
     /// Number of devices N of the run.
     pub devices: u32,
-    /// The lost hosts whose return the BS awaits.
-    pub lost: Vec<LostHost>,
+    /// The hosts with devices, in the order of their devices.
+    pub hosts: Vec<HostSummary>,
 }
 
-/// A lost host that the BS waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LostHost {
+/// A host with devices.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostSummary {
     /// The host.
     pub host: HostId,
+    /// Its name: pid, machine and address, as the host states them.
+    pub name: String,
     /// Its first device.
     pub first: DeviceId,
     /// Its last device.
     pub last: DeviceId,
+    /// Whether it is lost, and the BS waits for it or for a takeover.
+    #[serde(rename = "lost")]
+    pub is_lost: bool,
 }
 
-impl fmt::Display for LostHost {
+impl HostSummary {
+    /// Number of its devices.
+    fn device_count(&self) -> u32 {
+        // Saturating, since the message can come from a foreign program.
+        self.last.0.saturating_sub(self.first.0).saturating_add(1)
+    }
+}
+
+impl fmt::Display for HostSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "host {} (devices {} to {})", self.host, self.first, self.last)
+        let Self {
+            host,
+            name,
+            first,
+            last,
+            ..
+        } = self;
+        write!(f, "host {host} (devices {first} to {last}, {name})")
+    }
+}
+
+impl ClockStatus {
+    /// The lost hosts whose return the BS awaits.
+    pub fn lost_hosts(&self) -> impl Iterator<Item = &HostSummary> {
+        self.hosts.iter().filter(|host| host.is_lost)
     }
 }
 
@@ -112,14 +139,19 @@ impl fmt::Display for ClockStatus {
             stop_before,
             pace,
             begun,
-            devices: _,
-            lost,
+            devices,
+            hosts,
         } = self;
+        let mut lost_hosts = self.lost_hosts().peekable();
         if !begun {
-            write!(f, "joining before TTI 0 of {ttis}")?;
+            let joined: u32 = hosts.iter().map(HostSummary::device_count).fold(0, u32::saturating_add);
+            write!(
+                f,
+                "joining before TTI {tti} of {ttis}, {joined} of {devices} devices so far"
+            )?;
             return f.write_str(if *paused { "; then paused" } else { "" });
         }
-        match (paused, lost.is_empty()) {
+        match (paused, lost_hosts.peek().is_none()) {
             (true, _) => write!(f, "paused before TTI {tti} of {ttis}")?,
             (false, true) => write!(f, "running at TTI {tti} of {ttis}")?,
             (false, false) => write!(f, "waiting at TTI {tti} of {ttis}")?,
@@ -130,8 +162,8 @@ impl fmt::Display for ClockStatus {
         if *pace != Pace::Max {
             write!(f, ", a TTI every {pace}")?;
         }
-        for (nth, host) in lost.iter().enumerate() {
-            write!(f, "{} {host}", if nth == 0 { ": lost" } else { "," })?;
+        for (nth, host) in lost_hosts.enumerate() {
+            write!(f, "{} {host}", if nth == 0 { ": lost" } else { ";" })?;
         }
         Ok(())
     }
@@ -151,13 +183,15 @@ mod tests {
             pace: Pace::Max,
             begun: true,
             devices: 50,
-            lost: Vec::new(),
+            hosts: Vec::new(),
         };
-        let lost = LostHost {
-            host: HostId(1),
-            first: DeviceId(25),
-            last: DeviceId(49),
-        };
+        let hosts = [(0, 0, 24, false), (1, 25, 49, true)].map(|(host, first, last, is_lost)| HostSummary {
+            host: HostId(host),
+            name: format!("the process with pid {}", 70 + host),
+            first: DeviceId(first),
+            last: DeviceId(last),
+            is_lost,
+        });
         let cases = [
             (running.clone(), "running at TTI 12 of 400"),
             (
@@ -183,18 +217,20 @@ mod tests {
             ),
             (
                 ClockStatus {
-                    lost: vec![lost],
+                    hosts: hosts.to_vec(),
                     ..running.clone()
                 },
-                "waiting at TTI 12 of 400: lost host 1 (devices 25 to 49)",
+                "waiting at TTI 12 of 400: lost host 1 (devices 25 to 49, the process with pid 71)",
             ),
             (
                 ClockStatus {
+                    tti: Tti(0),
                     begun: false,
                     paused: true,
+                    hosts: hosts[..1].to_vec(),
                     ..running
                 },
-                "joining before TTI 0 of 400; then paused",
+                "joining before TTI 0 of 400, 25 of 50 devices so far; then paused",
             ),
         ];
         for (status, expected) in cases {

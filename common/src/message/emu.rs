@@ -3,11 +3,14 @@
 //! recordings (`view/src/schemas.rs`). [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
 
 use std::fmt;
+use std::iter::Sum;
+use std::ops::AddAssign;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Change, Concerns, FailedTransmission, WakeOutcome};
+use super::{Change, Concerns, DeviceRange, FailedTransmission, WakeOutcome};
+use crate::digits::count_noun;
 use crate::energy::EnergyModel;
 use crate::event::Stimulus;
 use crate::geometry::Point;
@@ -25,12 +28,50 @@ use crate::units::Energy;
 pub struct JoinRequest {
     /// The host's version of Reveille.
     pub version: String,
-    /// Number of devices that the host offers to run, ≥ 1.
-    pub count: u32,
+    /// The devices that the host offers to run.
+    pub offer: HostOffer,
     /// A random number drawn by this host process: a repeated request gets the same assignment.
     pub nonce: u64,
     /// The host's own name, for messages to the operator. The BS does not rely on it.
     pub name: String,
+}
+
+/// The devices that a host offers to run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum HostOffer {
+    /// Free or lost devices, at most this number, ≥ 1.
+    AtMost(u32),
+    /// An equal share of the free devices, or any number of lost ones.
+    Share,
+    /// Any number of lost devices, and no others.
+    Lost,
+    /// No devices: a router, which only needs the run's secret.
+    Nothing,
+    /// Exactly these devices, free or lost.
+    Exactly(DeviceRange),
+}
+
+impl HostOffer {
+    /// Largest number of devices that the host takes over from a lost host.
+    pub const fn max_devices(self) -> u32 {
+        match self {
+            Self::AtMost(count) | Self::Exactly(DeviceRange { count, .. }) => count,
+            Self::Share | Self::Lost => u32::MAX,
+            Self::Nothing => 0,
+        }
+    }
+}
+
+impl fmt::Display for HostOffer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AtMost(count) => f.write_str(&count_noun(*count, "device")),
+            Self::Share => f.write_str("a share of the devices"),
+            Self::Lost => f.write_str("lost devices"),
+            Self::Nothing => f.write_str("no devices, as a router"),
+            Self::Exactly(range) => range.fmt(f),
+        }
+    }
 }
 
 /// Emulation, BS → host: the reply to a [`JoinRequest`].
@@ -38,18 +79,24 @@ pub struct JoinRequest {
 pub enum JoinReply {
     /// The host's assignment.
     Welcome(Box<HostSetup>),
+    /// The BS still waits for other hosts before it divides the devices; the host asks again.
+    AwaitShare,
     /// No devices are free now; the host may ask again. Holds the reason.
     Retry(String),
     /// The BS refuses the host, for this reason.
     Refused(String),
+    /// The run's secret, for a router ([`HostOffer::Nothing`]).
+    Routes(Secret),
 }
 
 impl Concerns for JoinRequest {}
 
 impl fmt::Display for JoinRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { version, count, .. } = self;
-        write!(f, "{:?} offers to run {count} devices, reveille {version}", self.name)
+        let Self {
+            version, offer, name, ..
+        } = self;
+        write!(f, "{name:?} offers to run {offer}, reveille {version}")
     }
 }
 
@@ -291,6 +338,48 @@ impl fmt::Display for GrantMessage {
     }
 }
 
+/// Numbers of devices with δ = 1 that would have detected the event of a TTI, but could not sense.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnableDetectors {
+    /// Devices that could not pay for sensing.
+    pub unpowered: u32,
+    /// Devices that an operator had failed.
+    pub failed: u32,
+}
+
+impl UnableDetectors {
+    /// One device that could not pay for sensing.
+    pub const UNPOWERED: Self = Self {
+        unpowered: 1,
+        failed: 0,
+    };
+    /// One failed device.
+    pub const FAILED: Self = Self {
+        unpowered: 0,
+        failed: 1,
+    };
+
+    /// Returns the number of devices.
+    pub fn total(self) -> u64 {
+        u64::from(self.unpowered) + u64::from(self.failed)
+    }
+}
+
+impl AddAssign for UnableDetectors {
+    fn add_assign(&mut self, other: Self) {
+        self.unpowered += other.unpowered;
+        self.failed += other.failed;
+    }
+}
+
+impl Sum for UnableDetectors {
+    fn sum<I: Iterator<Item = Self>>(parts: I) -> Self {
+        let mut sum = Self::default();
+        parts.for_each(|part| sum += part);
+        sum
+    }
+}
+
 /// Emulation, host → BS: the answer to a [`ClockMessage`] or to a wake-up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum HostAnswer {
@@ -304,8 +393,8 @@ pub enum HostAnswer {
         reports: u32,
         /// Devices that detected the event and could not transmit.
         failures: Vec<FailedTransmission>,
-        /// Number of devices with δ = 1 that would have detected the event, but could not pay for sensing.
-        unpowered: u32,
+        /// Devices that would have detected the event, but could not sense.
+        unable: UnableDetectors,
         /// Sums over the host's devices, if the grant asked for them.
         totals: Option<DeviceTotals>,
         /// States and batteries of its devices, in the order of ids, if the grant asked for them. Observers see both.
@@ -350,7 +439,7 @@ impl fmt::Display for HostAnswer {
                 totals,
                 ..
             } => {
-                write!(f, "done, {reports} reports")?;
+                write!(f, "done, {}", count_noun(*reports, "report"))?;
                 for failure in failures {
                     write!(f, ", device {} could not transmit", failure.device)?;
                 }
@@ -359,7 +448,7 @@ impl fmt::Display for HostAnswer {
                     .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
             }
             Self::NoReport { device, outcome, .. } => write!(f, "device {device} {outcome}"),
-            Self::Ledgers { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
+            Self::Ledgers { ledgers, .. } => write!(f, "the ledgers of {}", count_noun(ledgers.len(), "device")),
         }
     }
 }

@@ -28,10 +28,10 @@ use crate::ids::{DeviceId, HostId, Tti};
 
 pub use action::{ActRequest, Change, DeviceRange, OperatorAction, Setting};
 pub use air::{FailedTransmission, PlanUpdate, Report, WakeOutcome, WakeUp};
-pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
+pub use control::{ClockCommand, ClockStatus, HostSummary, Pace};
 pub use emu::{
-    BusCredentials, ClockMessage, DeviceCheckpoint, DeviceSetup, GrantMessage, HostAnswer, HostCheckpoint, HostSetup,
-    JoinReply, JoinRequest, Ready, ResumePoint,
+    BusCredentials, ClockMessage, DeviceCheckpoint, DeviceSetup, GrantMessage, HostAnswer, HostCheckpoint, HostOffer,
+    HostSetup, JoinReply, JoinRequest, Ready, ResumePoint, UnableDetectors,
 };
 pub use inspect::{DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest, ScenarioDescription};
 pub use truth::{

@@ -9,7 +9,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::{Concerns, FailedTransmission, Report, WakeOutcome};
-use crate::digits::format_significant;
+use crate::digits::{count_noun, format_significant};
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::state::{DeviceState, DeviceView};
@@ -68,21 +68,23 @@ impl fmt::Display for EventUpdate {
             Self::Ended(record) => {
                 write!(f, "event {} has ended, ", record.event.0)?;
                 match record.delay() {
-                    Some(delay) => write!(f, "reported after {delay} TTIs")?,
+                    Some(delay) => write!(f, "reported after {}", count_noun(delay, "TTI"))?,
                     None => f.write_str("missed")?,
                 }
+                if let Some(cause) = record.miss_cause {
+                    write!(f, " ({})", cause.explanation())?;
+                }
                 let tally = record.tally;
-                let information = tally.information();
                 write!(
                     f,
-                    ": I {}, {} reports, {} wake-ups",
-                    format_significant(information, 4),
-                    tally.reports,
-                    tally.wake_ups
+                    ": I {}, {}, {}",
+                    format_significant(tally.information(), 4),
+                    count_noun(tally.reports, "report"),
+                    count_noun(tally.wake_ups, "wake-up")
                 )?;
                 match tally.wrong_activations {
                     0 => Ok(()),
-                    wrong => write!(f, ", {wrong} wrong activations"),
+                    wrong => write!(f, ", {}", count_noun(wrong, "wrong activation")),
                 }
             }
         }

@@ -11,7 +11,7 @@ use super::model::{LoadedScenario, Scenario};
 use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::{BsSettings, PolicyName, RunSettings};
 use crate::declare::{Declaration, FieldReader, FileContext, Merged, ScenarioError};
-use crate::digits::format_significant;
+use crate::digits::{count_noun, format_significant};
 use crate::event::DurationKind;
 use crate::event::event_settings::EventSettings;
 use crate::geometry::{Area, Layout};
@@ -124,10 +124,7 @@ fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Re
 fn undetected_events_warning<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
     let (path, budget) = scenario.policy.delay_budget()?;
     let missed_pct = 100.0 * scenario.events.missed_share(budget);
-    let length = match scenario.events.duration {
-        1 => "1 TTI".to_owned(),
-        several => format!("{several} TTIs"),
-    };
+    let length = count_noun(scenario.events.duration, "TTI");
     (missed_pct >= 1.0).then(|| {
         format!(
             "{path} = {budget} leaves a place unsensed for up to {budget} TTIs, and events last {length}{}: up to \

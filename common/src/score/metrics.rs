@@ -55,7 +55,7 @@ pub struct Metric {
     pub group: MetricGroup,
     /// Its unit.
     pub unit: &'static str,
-    /// The unit as text, for the axis of a figure.
+    /// The quantity with its unit, for titles and axes of figures; no two metrics share it.
     pub axis: &'static str,
     /// The measured quantity: the doc comment of the entry in `metrics!`, also a row of `docs/results.md`.
     pub meaning: &'static str,
@@ -199,7 +199,7 @@ metrics! {
                 if events == misdetected { f64::NAN } else { run.totals.delay_p95_ttis as f64 }
             };
         /// Events without a report at the BS, % of events.
-        misdetection_pct: "% of events", "% of events" =
+        misdetection_pct: "% of events", "missed events, % of events" =
             |run| run.per_event(100.0 * run.totals.events.misdetected as f64);
         /// Events missed because no device is within d_max, % of events.
         missed_out_of_reach_pct: "% of events", "% of events out of reach" =
@@ -213,6 +213,10 @@ metrics! {
         /// Events missed because all devices that would have detected them slept by plan, % of events.
         missed_asleep_pct: "% of events", "% of events missed asleep" =
             |run| run.missed_pct(MissCause::Asleep);
+        /// Events missed because an operator had failed the devices with δ = 1 that would have detected them, % of
+        /// events.
+        missed_failed_pct: "% of events", "% of events missed by failed devices" =
+            |run| run.missed_pct(MissCause::Failed);
         /// Events missed because no device with δ = 1 could pay for sensing, % of events.
         missed_unpowered_pct: "% of events", "% of events missed without power" =
             |run| run.missed_pct(MissCause::Unpowered);
@@ -233,24 +237,24 @@ metrics! {
             |run| run.per_event(run.totals.events.wake_ups as f64);
         /// Devices per event that entered S2 but could not transmit, or were woken farther than d_max from the
         /// epicentre.
-        wrong_activations_per_event: "devices/event", "devices per event" =
+        wrong_activations_per_event: "devices/event", "wrong activations per event" =
             |run| run.per_event(run.totals.events.wrong_activations as f64);
         /// Energy spent by wrong activations, per event.
-        wasted_energy_per_event: "units/event", "units per event" =
+        wasted_energy_per_event: "units/event", "wasted energy, units per event" =
             |run| run.per_event(run.totals.events.wasted_energy.units());
     }
     Energy {
         /// Energy spent, mean over devices and TTIs; the sum of the next three metrics.
-        energy_per_device_tti: "units", "units per device and TTI" =
+        energy_per_device_tti: "units", "energy, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.total());
         /// Energy spent in S1, Eq. (4), including energy drained by failed attempts.
-        energy_sensing_per_device_tti: "units", "units in S1 per device and TTI" =
+        energy_sensing_per_device_tti: "units", "energy in S1, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sensing);
         /// Energy spent in S4, Eq. (4), including energy drained by failed attempts and false wake-ups.
-        energy_sleep_per_device_tti: "units", "units in S4 per device and TTI" =
+        energy_sleep_per_device_tti: "units", "energy in S4, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.sleep);
         /// Energy spent from S2 to S3, Eq. (4), including energy drained by failed attempts.
-        energy_report_per_device_tti: "units", "units in S2 and S3 per device and TTI" =
+        energy_report_per_device_tti: "units", "energy in S2 and S3, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.spent.report);
         /// Σ I_i / energy spent by all devices; undefined if they spent none.
         info_per_energy: "information/unit", "information per unit of energy" = |run| {
@@ -260,24 +264,24 @@ metrics! {
         /// Jain's index of the energy spent per device: 1 if all devices spend the same, 1/N if one device spends all.
         fairness_energy: "0 to 1", "Jain's index of the energy spent" = |run| run.jain();
         /// Energy harvested, including overflow, mean over devices and TTIs.
-        harvested_per_device_tti: "units", "units per device and TTI" =
+        harvested_per_device_tti: "units", "harvest, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.harvested);
         /// Energy harvested minus energy spent, mean over devices and TTIs.
-        net_per_device_tti: "units", "units per device and TTI", difference =
+        net_per_device_tti: "units", "net energy, units per device and TTI", difference =
             |run| {
                 let spent = run.totals.energy.spent.total().units();
                 (run.totals.energy.harvested.units() - spent) / run.device_ttis()
             };
         /// Harvested energy that did not fit in the battery, mean over devices and TTIs.
-        overflow_per_device_tti: "units", "units per device and TTI" =
+        overflow_per_device_tti: "units", "overflow, units per device and TTI" =
             |run| run.per_device_tti(run.totals.energy.overflow);
     }
     Batteries {
         /// Battery level at the end of a TTI, mean over devices and TTIs.
-        mean_battery: "units", "units" =
+        mean_battery: "units", "mean battery level, units" =
             |run| run.totals.energy.battery_sum as f64 / MICRO_PER_UNIT as f64 / run.device_ttis();
         /// Device-TTIs that ended with B < E_Tx, %.
-        low_energy_pct: "% of device-TTIs", "% of devices, B < E_Tx" =
+        low_energy_pct: "% of device-TTIs", "% of device-TTIs with B < E_Tx" =
             |run| run.pct_of_device_ttis(run.totals.energy.low_ttis);
         /// TTIs that the worst device ended with B < E_Tx, % of TTIs.
         worst_low_energy_pct: "% of TTIs", "% of TTIs with B < E_Tx, worst device" =
@@ -287,15 +291,22 @@ metrics! {
             let DeviceTotals { failed_ttis, sensing_ttis, .. } = run.totals.energy;
             100.0 * failed_ttis as f64 / sensing_ttis as f64
         };
-        /// Device-TTIs asleep with an unpowered wake-up radio, %.
+        /// Device-TTIs with δ = 0 in which the battery could not pay for the wake-up radio, % of all device-TTIs.
         unpowered_pct: "% of device-TTIs", "% of device-TTIs with an unpowered wake-up radio" =
             |run| run.pct_of_device_ttis(run.totals.energy.unpowered_ttis);
+        /// Device-TTIs in which the battery could not pay the cost that δ required, %: sensing for δ = 1, the wake-up
+        /// radio for δ = 0.
+        no_power_pct: "% of device-TTIs", "% of device-TTIs without power" = |run| {
+            let DeviceTotals { failed_ttis, unpowered_ttis, .. } = run.totals.energy;
+            run.pct_of_device_ttis(failed_ttis + unpowered_ttis)
+        };
     }
     Radio {
         /// Bytes on the control channel (δ plans, synchronisation, wake-ups; BS to devices) per TTI.
-        ctl_bytes_per_tti: "bytes/TTI", "bytes per TTI" = |run| run.per_tti(run.totals.control.bytes);
+        ctl_bytes_per_tti: "bytes/TTI", "bytes of control messages per TTI" =
+            |run| run.per_tti(run.totals.control.bytes);
         /// Messages on the control channel per TTI.
-        ctl_msgs_per_tti: "messages/TTI", "messages per TTI" = |run| run.per_tti(run.totals.control.messages);
+        ctl_msgs_per_tti: "messages/TTI", "control messages per TTI" = |run| run.per_tti(run.totals.control.messages);
         /// Encoded bytes of received reports (devices to BS) per TTI.
         uplink_bytes_per_tti: "bytes/TTI", "bytes of reports per TTI" = |run| run.per_tti(run.totals.uplink.bytes);
         /// Reports lost between device and BS, % of reports sent.
@@ -368,17 +379,20 @@ impl Metrics {
     ];
 
     /// The metrics that result tables of earlier versions do not have, and may lack when read: the causes of missed
-    /// events before version 3, `info_per_energy` before version 4.
-    pub const ADDED_LATER: [&str; MissCause::COUNT + 1] = [
+    /// events before version 3, `info_per_energy` before version 4, `missed_failed_pct` and `no_power_pct` before
+    /// version 5.
+    pub const ADDED_LATER: [&str; MissCause::COUNT + 2] = [
         "missed_out_of_reach_pct",
         "missed_removed_pct",
         "missed_undetected_pct",
         "missed_asleep_pct",
+        "missed_failed_pct",
         "missed_unpowered_pct",
         "missed_wake_missed_pct",
         "missed_no_energy_pct",
         "missed_lost_pct",
         "info_per_energy",
+        "no_power_pct",
     ];
 
     /// Returns today's name of the metric that once had this name; any other name stays as it is.
@@ -433,6 +447,15 @@ mod tests {
     #[test]
     fn the_results_page_contains_the_table_of_metrics() {
         io::assert_table("docs/results.md", "metrics", &markdown_table());
+    }
+
+    #[test]
+    fn axis_labels_are_distinct_and_fit_a_figure() {
+        for (index, metric) in Metrics::ALL.iter().enumerate() {
+            let is_taken = Metrics::ALL[..index].iter().any(|other| other.axis == metric.axis);
+            assert!(!is_taken, "{}: {}", metric.name, metric.axis);
+            assert!(metric.axis.chars().count() <= 50, "{}: {}", metric.name, metric.axis);
+        }
     }
 
     #[test]

@@ -21,7 +21,8 @@ use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{
-    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, WakeOutcome,
+    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, UnableDetectors,
+    WakeOutcome,
 };
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
@@ -36,17 +37,20 @@ use crate::units::Energy;
 struct OpenEvent {
     active_event: ActiveEvent,
     tally: EventTally,
-    has_lost_report: bool,
-    /// Whether a device with δ = 1 would have detected it, but could not pay for sensing.
-    has_unpowered_detector: bool,
-    /// Whether a woken device did not receive its wake-up.
-    has_missed_wake_up: bool,
+    /// The last condition for a report that a device did not meet. Failed transmissions are only in `tally`.
+    last_obstacle: Option<MissCause>,
     /// The TTI of its last wake-ups, and their number in that TTI.
     last_wake_ups: (Tti, u64),
     /// The number of those wake-ups up to the last one that brought a report.
     wake_ups_until_last_report: u64,
     /// Number of devices woken for it that woke after its end.
     late_wake_ups: u64,
+}
+
+impl OpenEvent {
+    fn add_obstacle(&mut self, obstacle: MissCause) {
+        self.last_obstacle = self.last_obstacle.max(Some(obstacle));
+    }
 }
 
 /// The score of an unfinished run. Records of reports, failed transmissions and wake-ups panic unless an event is
@@ -158,9 +162,7 @@ impl Score {
         self.current = Some(OpenEvent {
             active_event: event,
             tally: EventTally::default(),
-            has_lost_report: false,
-            has_unpowered_detector: false,
-            has_missed_wake_up: false,
+            last_obstacle: None,
             last_wake_ups: (Tti::NEVER, 0),
             wake_ups_until_last_report: 0,
             late_wake_ups: 0,
@@ -187,11 +189,14 @@ impl Score {
         self.count_wrong_activation(failure.device, failure.drained_energy);
     }
 
-    /// Records that `devices` devices with δ = 1 would have detected the event in this TTI, but could not pay for
-    /// sensing.
-    pub const fn record_unpowered(&mut self, devices: u64) {
-        if let Some(current) = &mut self.current {
-            current.has_unpowered_detector |= devices > 0;
+    /// Records the devices that would have detected the event in this TTI, but could not sense.
+    pub fn record_unable_detectors(&mut self, unable: UnableDetectors) {
+        let Some(current) = &mut self.current else { return };
+        if unable.failed > 0 {
+            current.add_obstacle(MissCause::Failed);
+        }
+        if unable.unpowered > 0 {
+            current.add_obstacle(MissCause::Unpowered);
         }
     }
 
@@ -282,7 +287,7 @@ impl Score {
             }
             WakeOutcome::Missed => {
                 self.losses.missed_wake_ups += u64::from(is_measured);
-                self.open_event().has_missed_wake_up = true;
+                self.open_event().add_obstacle(MissCause::WakeMissed);
                 self.add_activity(device, EventActivity::MISSED_WAKE_UP);
             }
         }
@@ -386,18 +391,13 @@ impl Score {
         }
     }
 
-    /// Returns the first condition for a report of `open` that no device met, in the order of [`MissCause::ALL`]. The
-    /// last conditions are checked first.
+    /// Returns the first condition for a report of `open` that no device met, in the order of [`MissCause::ALL`].
     fn miss_cause(&self, open: &OpenEvent) -> MissCause {
         // Late wake-ups are wrong activations too; only the excess over them stands for devices that could not pay.
-        if open.has_lost_report {
-            return MissCause::Lost;
-        } else if open.tally.wrong_activations > open.late_wake_ups {
-            return MissCause::NoEnergy;
-        } else if open.has_missed_wake_up {
-            return MissCause::WakeMissed;
-        } else if open.has_unpowered_detector {
-            return MissCause::Unpowered;
+        let has_unpaid_report = open.tally.wrong_activations > open.late_wake_ups;
+        let unpaid_report = has_unpaid_report.then_some(MissCause::NoEnergy);
+        if let Some(cause) = open.last_obstacle.max(unpaid_report) {
+            return cause;
         }
         let ActiveEvent { stimulus, start, .. } = open.active_event;
         let mut cause = MissCause::OutOfReach;
@@ -457,7 +457,7 @@ impl Score {
     }
 
     fn count_lost_report(&mut self, report: &Report) {
-        self.open_event().has_lost_report = true;
+        self.open_event().add_obstacle(MissCause::Lost);
         self.losses.lost_reports += u64::from(report.tti >= self.warm_up_end);
     }
 }
@@ -499,6 +499,54 @@ impl DelayHistogram {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::EventId;
+    use crate::message::DeviceRange;
+    use crate::scenario::testing::scenario_with;
+
+    /// Returns the cause of a missed event at the position of the only device, which failed in TTI 100. The event lasts
+    /// from TTI 200 to TTI 201, in each of which these devices with δ = 1 could not sense.
+    fn cause_with(unable: [UnableDetectors; 2]) -> MissCause {
+        let scenario = scenario_with(&["devices=1"]);
+        let deployment = Deployment::new(&scenario);
+        let mut score = Score::new(&scenario, &deployment);
+        let devices = DeviceRange {
+            first: DeviceId(0),
+            count: 1,
+        };
+        score.record_action(&OperatorAction {
+            tti: Tti(100),
+            change: Change::Fail(devices),
+        });
+        score.record_event_start(ActiveEvent {
+            stimulus: Stimulus {
+                event: EventId(0),
+                epicentre: deployment.devices[0].position,
+            },
+            start: Tti(200),
+            last: Tti(201),
+        });
+        for devices in unable {
+            score.record_unable_detectors(devices);
+        }
+        score.record_event_end(Tti(201), 0.0).miss_cause.expect("missed")
+    }
+
+    #[test]
+    fn a_failed_detector_comes_before_an_unpowered_one() {
+        let none = UnableDetectors::default();
+        let (failed, unpowered) = (UnableDetectors::FAILED, UnableDetectors::UNPOWERED);
+        for (unable, expected) in [
+            ([none, none], MissCause::Removed),
+            ([none, failed], MissCause::Failed),
+            ([failed, none], MissCause::Failed),
+            ([unpowered, none], MissCause::Unpowered),
+            ([failed, unpowered], MissCause::Unpowered),
+            ([unpowered, failed], MissCause::Unpowered),
+            ([[failed, unpowered].into_iter().sum(), none], MissCause::Unpowered),
+        ] {
+            assert_eq!(cause_with(unable), expected, "{unable:?}");
+        }
+    }
 
     #[test]
     fn percentiles_are_nearest_ranks() {

@@ -39,7 +39,7 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
         let grant = vec![0; sizes.grant];
         // A host declares its liveliness token after it has subscribed: once all are seen, no grant is lost.
         let started = now();
-        while bus.count_alive_hosts().await? < hosts {
+        while bus.count_alive_hosts(Duration::from_secs(10)).await? < hosts {
             anyhow::ensure!(
                 started.elapsed() < Duration::from_mins(1),
                 "the hosts of the bare barrier did not join within a minute"

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use reveille_common::codec;
 use reveille_common::ids::{HostId, Tti};
-use reveille_common::message::{ClockMessage, GrantMessage, HostAnswer};
+use reveille_common::message::{ClockMessage, GrantMessage, HostAnswer, UnableDetectors};
 use serde_json::Value;
 
 use super::bare::{self, QuietTtiSizes};
@@ -109,7 +109,7 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
         tti,
         reports: 0,
         failures: Vec::new(),
-        unpowered: 0,
+        unable: UnableDetectors::default(),
         totals: None,
         views: None,
     };

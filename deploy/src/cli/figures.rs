@@ -8,6 +8,7 @@ use clap::builder::{EnumValueParser, PossibleValuesParser, StringValueParser};
 use clap::{Args, Subcommand, ValueEnum};
 use reveille_bs::policy::q_learning::learned::Lookback;
 use reveille_common::ids::MAX_DEVICES;
+use reveille_study::figures::deployment::EventChoice;
 use reveille_study::figures::{energy, front, pareto, robustness, study};
 
 use super::ScenarioArgs;
@@ -73,10 +74,11 @@ pub(crate) struct FiguresArgs {
 pub(crate) enum FiguresCommand {
     /// Draw a map of the devices with their clusters and one event
     ///
-    /// The map has Voronoi cells. It marks the devices that reported, were woken, or failed.
+    /// The map has Voronoi cells. It marks the devices that reported, were woken, or failed, with the numbers of up to
+    /// 60 devices.
     #[command(after_help = examples!(
         "reveille figures deployment --policy knn --devices 80",
-        "reveille figures deployment runs/knn-n50-s1 --event 12 --out maps",
+        "reveille figures deployment runs/knn-n50-s1 --event none --out maps",
     ))]
     Deployment(DeploymentArgs),
     /// Draw the batteries and states of some devices over time, with events and wake-ups
@@ -127,7 +129,7 @@ pub(crate) enum FiguresCommand {
     /// Each policy, or each value of another field, gets a line. Each combination of the remaining varied fields gets a
     /// picture.
     #[command(after_help = examples!(
-        "reveille figures sweep study --x harvest.lambda --y energy_per_device_tti",
+        "reveille figures sweep study --x harvest.lambda --y info_p1,energy_per_device_tti",
         "reveille figures sweep study --x harvest.lambda --by devices --where policy=knn --log x",
     ))]
     Sweep(SweepFigureArgs),
@@ -143,22 +145,24 @@ pub(crate) struct SweepFigureArgs {
     /// Field on the x axis: a swept field such as harvest.lambda, or devices, or ttis.
     #[arg(long, value_name = "FIELD")]
     pub x: String,
-    /// Metric on the y axis, such as energy_per_device_tti; docs/results.md lists all metrics.
+    /// Metrics on the y axis, separated by commas, with a picture each, such as energy_per_device_tti; docs/results.md
+    /// lists all metrics.
     #[arg(
         long,
+        value_delimiter = ',',
         value_name = "METRIC",
         default_value = "info_p1",
         hide_possible_values = true,
         value_parser = metric_parser()
     )]
-    pub y: String,
+    pub y: Vec<String>,
     /// Field with one line per value.
     #[arg(long, value_name = "FIELD", default_value = "policy")]
     pub by: String,
     /// Only runs with this value of a field. May be repeated.
     #[arg(long = "where", value_name = "FIELD=VALUE", value_parser = parse_field)]
     pub filter: Vec<(String, String)>,
-    /// Logarithmic axes, separated by commas.
+    /// Logarithmic axes, x or y, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "AXIS", value_parser = trimmed(EnumValueParser::<AxisArg>::new()))]
     pub log: Vec<AxisArg>,
     /// Picture options.
@@ -234,12 +238,24 @@ pub(crate) struct DeploymentArgs {
     /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// Number of the event, from 0 [default: the first event after the warm-up with a wake-up].
-    #[arg(long, short, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
-    pub event: Option<u64>,
+    /// Number of the event, from 0; `none` draws a TTI without an event [default: the first event after the warm-up
+    /// with several reports and a wake-up, or with a report if no event has more].
+    #[arg(long, short, value_parser = parse_event, allow_negative_numbers = true)]
+    pub event: Option<EventChoice>,
     /// Picture options.
     #[command(flatten)]
     pub pictures: FigureOutputArgs,
+}
+
+/// Parses the number of an event, or `none`.
+fn parse_event(text: &str) -> Result<EventChoice, String> {
+    match text.trim() {
+        "none" => Ok(EventChoice::Without),
+        number => number
+            .parse()
+            .map(EventChoice::Number)
+            .map_err(|_| "must be none or a whole number from 0".to_owned()),
+    }
 }
 
 /// Arguments of `reveille figures misses`.

@@ -15,11 +15,14 @@ const HELP_ABOUT: &str = "Print this message or the help of a command";
 
 /// The title of each group, and its commands.
 const GROUPS: [(&str, &[&str]); 5] = [
-    ("Run", &["up", "run", "bs", "device", "clock"]),
+    (
+        "Run",
+        &["up", "run", "bs", "device", "router", "link", "clock", "testbed"],
+    ),
     ("Look", &["inspect", "compare", "dashboard", "figures"]),
     ("Study", &["sweep", "merge", "report", "analyse"]),
     ("Train", &["train", "tune"]),
-    ("Tools", &["scenario", "bench", "help"]),
+    ("Tools", &["scenario", "tls", "bench", "help"]),
 ];
 
 /// Returns the template of the top-level help.

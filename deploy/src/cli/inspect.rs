@@ -43,11 +43,12 @@ pub(crate) enum InspectCommand {
     Record(InspectRecordArgs),
     /// Convert a recording for Wireshark, Perfetto or a statistics program
     ///
-    /// Wireshark and tshark need the dissector that --dissector writes: tshark -X lua_script:reveille.lua -r
-    /// run.pcapng -Y 'reveille.wake.device == 7'. Open a Perfetto trace at ui.perfetto.dev.
+    /// Wireshark and tshark need the dissector that `--dissector reveille.lua` writes:
+    /// tshark -X lua_script:reveille.lua -r run.pcapng -Y 'reveille.wake.device == 7'.
+    /// Open a Perfetto trace at ui.perfetto.dev.
     #[command(after_help = examples!(
         "reveille inspect export run.mcap --to pcapng",
-        "reveille inspect export --dissector reveille.lua",
+        "reveille inspect export run.mcap --to devices --every 10",
     ))]
     Export(ExportArgs),
     /// Check that the messages of a recording lead to the metrics and digest in its summary
@@ -61,11 +62,12 @@ pub(crate) enum InspectCommand {
     Verify(VerifyArgs),
     /// Show where, when and why the events of a run were missed
     ///
-    /// The report has a map of missed events and devices, the causes over time, the nearest devices and a proposal.
-    /// The run can still be active. docs/results.md explains the causes.
+    /// The report has a map of missed events and devices, the causes over time, the nearest devices and suggested
+    /// changes. After actions, it compares the phases of the run. The run can still be active. docs/results.md explains
+    /// the causes.
     #[command(after_help = examples!(
         "reveille inspect misses runs/knn-n50-s1",
-        "reveille inspect misses runs/knn-n50-s1 --json",
+        "reveille inspect misses runs/knn-n50-s1 --try",
     ))]
     Misses(MissesArgs),
 }
@@ -159,7 +161,7 @@ pub(crate) struct ExportArgs {
     /// Format of the output file.
     #[arg(long, value_enum, requires = "file")]
     pub to: Option<ExportFormatArg>,
-    /// File to write [default: the recording's name with the extension of the format].
+    /// File to write [default: next to the recording, with its name and the extension of the format].
     #[arg(long, short, requires = "file")]
     pub out: Option<PathBuf>,
     /// Write the pcapng dissector for Wireshark and tshark to this file.
@@ -180,6 +182,9 @@ pub(crate) struct ExportArgs {
         allow_negative_numbers = true
     )]
     pub battery_every: u64,
+    /// TTIs between two rows of a device, for --to devices [default: a hundredth of the run, as in windows.csv].
+    #[arg(long, value_name = "TTIS", value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
+    pub every: Option<u64>,
     /// Replace existing files.
     #[arg(long)]
     pub force: bool,
@@ -196,6 +201,8 @@ pub(crate) enum ExportFormatArg {
     Csv,
     /// Parquet table with one row per message.
     Parquet,
+    /// Comma-separated table of the devices over time: states, batteries, and energies since TTI 0.
+    Devices,
 }
 
 impl ExportFormatArg {
@@ -206,6 +213,7 @@ impl ExportFormatArg {
             Self::Perfetto => "perfetto-trace",
             Self::Csv => "csv",
             Self::Parquet => "parquet",
+            Self::Devices => "devices.csv",
         }
     }
 }
@@ -226,6 +234,10 @@ pub(crate) struct MissesArgs {
     /// Number of devices to list, those with most missed events first.
     #[arg(long, default_value_t = 8, value_parser = whole(0..=1_000_000_usize), allow_negative_numbers = true)]
     pub devices: usize,
+    /// Run the suggested values in memory, with the seed, the length and the actions of the run, and print a table of
+    /// the results with the command of the best one.
+    #[arg(long = "try")]
+    pub tries: bool,
     /// Print one JSON object.
     #[arg(long)]
     pub json: bool,

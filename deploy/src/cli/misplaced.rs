@@ -1,5 +1,6 @@
-//! Options given to a subcommand that lacks them. clap would suggest an option with a similar name; the error here
-//! names the subcommands that have the option. Tests here check that each reason is about an option that its command
+//! Options given to a subcommand that lacks them, and unknown subcommands of a subcommand. clap would suggest an option
+//! with a similar name; the error here names the subcommands that have the option. For a subcommand without a similar
+//! name, the error here lists the possible ones. Tests here check that each reason is about an option that its command
 //! lacks.
 
 use std::ffi::OsString;
@@ -22,11 +23,13 @@ const REASONS: [(&str, &[&str], &str); 7] = [
         &[
             "processes",
             "on-loss",
+            "loss-timeout",
             "audit",
             "run",
             "listen",
             "join-timeout",
             "key-file",
+            "tls",
             "connect",
             "count",
             "connect-timeout",
@@ -41,7 +44,7 @@ const REASONS: [(&str, &[&str], &str); 7] = [
     ("run", &["dashboard"], "serves no dashboard"),
     (
         "up",
-        &["join-timeout", "key-file", "connect", "count", "connect-timeout"],
+        &["join-timeout", "key-file", "tls", "connect", "count", "connect-timeout"],
         "starts its device processes itself",
     ),
     (
@@ -56,14 +59,21 @@ const REASONS: [(&str, &[&str], &str); 7] = [
     ),
 ];
 
-/// Explains the `error` of the command line `args` of `program`, if it is about an option that other subcommands have.
+/// Explains the `error` of the command line `args` of `program`, if it is about an option that other subcommands have,
+/// or about an unknown subcommand of a subcommand.
 pub(crate) fn explain_misplaced(mut error: Error, mut program: Command, args: &[OsString]) -> Error {
+    if error.kind() == ErrorKind::InvalidSubcommand {
+        return list_subcommands(error, &program, args);
+    }
     let (ErrorKind::UnknownArgument, Some(ContextValue::String(given))) =
         (error.kind(), error.get(ContextKind::InvalidArg))
     else {
         return error;
     };
     let words = called_words(&program, args);
+    if begins_own_option(&program, &words, given) {
+        return error;
+    }
     let Some(hint) = compose_hint(&program, &words, given) else {
         return error;
     };
@@ -80,6 +90,38 @@ pub(crate) fn explain_misplaced(mut error: Error, mut program: Command, args: &[
     if let Some(called) = called {
         error.insert(ContextKind::Usage, ContextValue::StyledStr(called.render_usage()));
     }
+    error
+}
+
+/// Whether `given` is the beginning of an option that the called subcommand has, such as `--device` of `--devices`.
+fn begins_own_option(program: &Command, words: &[String], given: &str) -> bool {
+    let called = words
+        .iter()
+        .try_fold(program, |command, word| command.find_subcommand(word));
+    let (Some(called), Some(beginning)) = (called, given.strip_prefix("--")) else {
+        return false;
+    };
+    let mut options = called.get_arguments().filter(|arg| !arg.is_hide_set());
+    options.any(|arg| arg.get_long().is_some_and(|long| long.starts_with(beginning)))
+}
+
+/// Adds the subcommands of the called subcommand to the error about an unknown one, unless clap suggests one.
+fn list_subcommands(mut error: Error, program: &Command, args: &[OsString]) -> Error {
+    let words = called_words(program, args);
+    let called = words
+        .iter()
+        .try_fold(program, |command, word| command.find_subcommand(word));
+    let Some(called) = called.filter(|_| !words.is_empty() && error.get(ContextKind::SuggestedSubcommand).is_none())
+    else {
+        return error;
+    };
+    let visible = called.get_subcommands().filter(|below| !below.is_hide_set());
+    let names: Vec<String> = visible.map(|below| format!("`{}`", below.get_name())).collect();
+    let hint = format!("`{}` has the subcommands {}", words.join(" "), names.join(", "));
+    error.insert(
+        ContextKind::Suggested,
+        ContextValue::StyledStrs(vec![StyledStr::from(hint)]),
+    );
     error
 }
 
@@ -212,8 +254,22 @@ mod tests {
             assert!(refusal.contains(hint) && refusal.contains(usage), "{line}: {refusal}");
             assert!(!refusal.contains("similar"), "{line}: {refusal}");
         }
-        let unknown = refusal("reveille run --pases 3");
-        assert!(!unknown.contains("is an option of"), "{unknown}");
+        for line in ["reveille run --pases 3", "reveille up --device 10"] {
+            let unknown = refusal(line);
+            assert!(!unknown.contains("is an option of"), "{unknown}");
+        }
+    }
+
+    #[test]
+    fn the_subcommands_are_listed_for_an_unknown_one() {
+        let unknown = refusal("reveille clock act explode 3");
+        let hint = "tip: `clock act` has the subcommands `fail`, `revive`, `energy`, `set`\n";
+        assert!(unknown.contains(hint), "{unknown}");
+        let similar = refusal("reveille clock act fial 3");
+        assert!(
+            similar.contains("'fail'") && !similar.contains("has the subcommands"),
+            "{similar}"
+        );
     }
 
     #[test]

@@ -16,8 +16,10 @@ mod parse;
 mod report;
 mod run;
 mod sweep;
+mod testbed;
 #[cfg(test)]
 mod tests;
+mod tls;
 mod tools;
 mod train;
 mod tune;
@@ -38,13 +40,19 @@ pub(crate) use inspect::{
     ColourArg, DashboardArgs, ExportArgs, ExportFormatArg, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs,
     TailArgs, VerifyArgs,
 };
-pub(crate) use parse::most_similar_name;
+pub(crate) use parse::{most_similar_name, parse_duration, parse_pace};
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};
 pub(crate) use run::{
     AuditArg, BsArgs, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg, OutputArgs,
-    PolicyProcessArgs, RunArgs, ScenarioArgs, UpArgs,
+    PolicyProcessArgs, RouterArgs, RunArgs, ScenarioArgs, UpArgs,
 };
 pub(crate) use sweep::{GridArgs, MergeArgs, SweepArgs};
+pub(crate) use testbed::{
+    FaultKind, LinkArgs, TestbedArgs, TestbedCommand, TestbedInitArgs, TestbedUpArgs, parse_loss,
+};
+pub(crate) use tls::TlsCommand;
+#[cfg(feature = "tls")]
+pub(crate) use tls::TlsInitArgs;
 pub(crate) use tools::{
     BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs,
 };
@@ -139,15 +147,39 @@ pub(crate) enum Command {
     /// Start device processes with `reveille device`, on this machine or on others.
     #[command(after_help = examples!(
         "reveille bs --run demo --devices 50",
-        "reveille bs --run demo --devices 50 --listen tcp/0.0.0.0:7447",
+        "reveille bs --run demo --devices 50 --listen tls/0.0.0.0:7447 --tls certificates",
     ))]
     Bs(BsArgs),
     /// Start one device process, and connect it to a base station
     #[command(after_help = examples!(
-        "reveille device --run demo --connect tcp/127.0.0.1:7447 --count 50",
+        "reveille device --run demo --connect tcp/127.0.0.1:7447",
         "reveille device --run demo --connect tcp/192.0.2.7:7447 --count 25 --connect-timeout 5min",
     ))]
     Device(DeviceArgs),
+    /// Forward the messages of a run between device processes on one network and a base station on another
+    ///
+    /// Device processes, observers and further routers connect to a router as they would to the base station. The
+    /// router runs until Ctrl-C. It reconnects after a lost link, and follows a base station that is started again.
+    #[command(after_help = examples!(
+        "reveille router --run demo --listen tcp/0.0.0.0:7447 --connect tcp/192.0.2.7:7447",
+        "reveille router --run demo --listen tcp/0.0.0.0:7448 --connect tcp/bs:7447 --key-file run.key",
+    ))]
+    Router(RouterArgs),
+    /// Make and drive a testbed of containers for a scenario
+    ///
+    /// `init` writes the files of a testbed, `up` runs it. The containers need Docker with compose, and an image of
+    /// Reveille.
+    #[command(after_help = examples!(
+        "reveille testbed init --scenario paper --containers 5 --out demo",
+        "reveille testbed up demo --check",
+    ))]
+    Testbed(TestbedArgs),
+    /// Relay TCP connections with a delay and losses, as a slow link between device processes and a base station
+    #[command(after_help = examples!(
+        "reveille link --listen tcp/127.0.0.1:7450 --connect tcp/127.0.0.1:7447 --delay 20ms",
+        "reveille link --listen tcp/0.0.0.0:7447 --connect tcp/192.0.2.7:7447 --delay 20ms --loss 1%",
+    ))]
+    Link(LinkArgs),
     /// Supervise the process that `--policy-command` starts
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
@@ -157,6 +189,14 @@ pub(crate) enum Command {
         "reveille scenario check my.toml",
     ))]
     Scenario(ScenarioCommand),
+    /// Make and show certificates for mutual TLS between the processes of a run
+    ///
+    /// It needs a build with the cargo feature `tls`.
+    #[command(subcommand, after_help = examples!(
+        "reveille tls init certificates --name 192.0.2.7",
+        "reveille tls show certificates",
+    ))]
+    Tls(TlsCommand),
     /// Inspect the messages of an active run or of a recording, or record an active run
     #[command(subcommand, after_help = examples!(
         "reveille inspect tail --kind wake,report --pair-wake-ups",

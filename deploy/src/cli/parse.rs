@@ -158,7 +158,7 @@ pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
 }
 
 /// Parses the real time per TTI, or `max`.
-pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
+pub(crate) fn parse_pace(text: &str) -> Result<Pace, String> {
     if text == "max" {
         return Ok(Pace::Max);
     }
@@ -169,7 +169,7 @@ pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
 }
 
 /// Parses a duration from 1 µs to 10⁶ s.
-pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
+pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
     // Deadlines are instants; adding a longer duration to one could overflow.
     let range = Duration::from_micros(1)..=Duration::from_secs(1_000_000);
     let duration = humantime::parse_duration(text).ok();

@@ -14,8 +14,8 @@ use reveille_bs::scenario::Scenario;
 use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
 use reveille_common::io::Disk;
 use reveille_common::keys::RunName;
-use reveille_common::message::Pace;
-use reveille_lab::action_script;
+use reveille_common::message::{DeviceRange, Pace};
+use reveille_lab::action_script::{self, parse_devices};
 use reveille_lab::external_inputs::ExternalInputs;
 
 use super::parse::{parse_duration, parse_pace, policy_help, run_policy_help, whole};
@@ -55,6 +55,21 @@ pub(crate) struct ScenarioArgs {
     pub seed: Option<String>,
 }
 
+impl Default for ScenarioArgs {
+    /// Returns the options of a command line that has none of them.
+    fn default() -> Self {
+        Self {
+            scenario: DEFAULT_SCENARIO.to_owned(),
+            set: Vec::new(),
+            devices: None,
+            policy: None,
+            learn: false,
+            ttis: None,
+            seed: None,
+        }
+    }
+}
+
 impl ScenarioArgs {
     /// Whether the command line sets any of these options to a value other than the default.
     pub(crate) fn is_given(&self) -> bool {
@@ -91,6 +106,12 @@ pub(crate) struct OutputArgs {
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["out", "force"])]
     pub resume: Option<PathBuf>,
 
+    /// Start the run, or resume it if the folder given by --out holds an unfinished run of this scenario. If that run
+    /// is complete, print its digest and do nothing. Use it where an engine repeats the command, as for containers
+    /// and batch jobs.
+    #[arg(long = "continue", requires = "out", conflicts_with_all = ["resume", "force"])]
+    pub continues: bool,
+
     /// Print summary.json to standard output instead of the table.
     #[arg(long)]
     pub json: bool,
@@ -103,8 +124,9 @@ pub(crate) struct OutputArgs {
     #[arg(long, short)]
     pub quiet: bool,
 
-    /// Record all messages of the run in this MCAP file, for `reveille inspect` and other tools. The recording is
-    /// complete: the run waits for the disk if necessary and reports the time it waited.
+    /// Record all messages of the run in this MCAP file, for `reveille inspect` and other tools. The file can be in the
+    /// new folder of --out. The recording is complete: the run waits for the disk if necessary and reports the time it
+    /// waited.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
 
@@ -135,13 +157,14 @@ pub(crate) struct OutputArgs {
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ActionArgs {
     /// Script of timed actions: devices that fail, are revived or receive energy, and settings that change. See
-    /// docs/actions.md for its lines.
+    /// docs/actions.md for its lines. The inputs.log of any run repeats the actions of that run.
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     pub actions: Option<PathBuf>,
 }
 
 impl ActionArgs {
-    /// Adds the scripted actions to the `recorded_inputs`, if any, for the run of `scenario`.
+    /// Adds the scripted actions to the `recorded_inputs`, if any, for the run of `scenario`. Logs a warning for
+    /// actions in the warm-up.
     ///
     /// # Errors
     /// If the script cannot be read, or a line is not an action of the run.
@@ -156,9 +179,11 @@ impl ActionArgs {
             let text = action_script::read(path, &Disk)
                 .map_err(anyhow::Error::msg)
                 .with_context(option)?;
-            inputs
-                .actions
-                .extend(action_script::parse(&text, scenario).with_context(option)?);
+            let actions = action_script::parse(&text, scenario).with_context(option)?;
+            if let Some(warning) = action_script::warm_up_warning(&actions, scenario) {
+                tracing::warn!("{}: {warning}", option());
+            }
+            inputs.actions.extend(actions);
         }
         Ok(inputs)
     }
@@ -180,7 +205,8 @@ pub(crate) struct RunArgs {
     #[arg(long)]
     pub no_lookahead: bool,
     /// Input log (inputs.log) of a run over the bus. It lists the devices that were lost under --on-loss continue, and
-    /// the actions of operators. With it, this run has the same digest. To replay decisions, use --policy replay=FILE.
+    /// the actions of operators. With it, this run has the same digest. Without scenario options, the scenario is the
+    /// scenario.toml next to FILE. To replay decisions, use --policy replay=FILE.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["resume", "actions"])]
     pub input_log: Option<PathBuf>,
 }
@@ -208,6 +234,11 @@ pub(crate) struct DriveArgs {
     /// reproduces the digest.
     #[arg(long, value_enum, default_value = "wait")]
     pub on_loss: OnLossArg,
+
+    /// End the run with an error if devices are without a process for longer than this, under `--on-loss wait`. The
+    /// run can be continued with --resume [default: no limit].
+    #[arg(long, value_parser = parse_duration, value_name = "DURATION")]
+    pub loss_timeout: Option<Duration>,
 
     /// Compare the run with a replay in memory, to detect any change to its result.
     ///
@@ -238,7 +269,8 @@ pub(crate) struct DriveArgs {
 #[command(next_help_heading = "Policy process (--policy external)")]
 pub struct ExternalPolicyArgs {
     /// Shell command that starts the policy process; it is stopped when the run ends. It finds the policy port through
-    /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY. Without this option, start a policy process by hand.
+    /// REVEILLE_CONNECT, REVEILLE_RUN and REVEILLE_KEY, and certificates through REVEILLE_TLS. Without this option,
+    /// start a policy process by hand.
     #[arg(long, value_name = "COMMAND", value_parser = NonEmptyStringValueParser::new())]
     pub policy_command: Option<String>,
 
@@ -321,7 +353,7 @@ pub(crate) struct BsArgs {
     /// Run name on the bus; device processes must give the same name.
     #[arg(long)]
     pub run: RunName,
-    /// Endpoint at which the base station listens: tcp/ADDRESS:PORT.
+    /// Endpoint at which the base station listens: tcp/ADDRESS:PORT, or tls/ADDRESS:PORT with --tls.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
     pub listen: String,
     /// End with an error unless all devices have joined within this time [default: no limit].
@@ -330,26 +362,42 @@ pub(crate) struct BsArgs {
     /// Admit only device processes that hold the key in this file; the file is created if missing.
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
+    /// Encrypt the bus, and admit only clients with a certificate of the CA in this folder, which `reveille tls init`
+    /// makes. A certificate allows only the messages of its role.
+    #[arg(long, value_name = "FOLDER")]
+    pub tls: Option<PathBuf>,
 }
 
 /// Arguments of `reveille device`.
 #[derive(Args)]
 pub(crate) struct DeviceArgs {
-    /// Endpoint of the base station: tcp/ADDRESS:PORT.
+    /// Endpoint of the base station: tcp/ADDRESS:PORT, or tls/HOST:PORT with --tls.
     #[arg(long)]
     pub connect: String,
     /// Run name on the bus.
     #[arg(long)]
     pub run: RunName,
-    /// Maximum number of devices that this process runs.
-    #[arg(long, default_value_t = 1, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
-    pub count: u32,
+    /// Maximum number of devices that this process runs [default: an equal share].
+    ///
+    /// By default, the base station divides the free devices equally among the processes that join at intervals of less
+    /// than two seconds. A process without this option can take over any number of lost devices.
+    #[arg(long, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
+    pub count: Option<u32>,
+    /// The devices that this process runs, such as 0-24 or 0-9,30,40-44.
+    ///
+    /// The process runs these devices and no others, also after a restart. Each range of consecutive devices counts as
+    /// a host. The base station refuses a range that another process shares in part.
+    #[arg(long, value_name = "DEVICES", value_parser = parse_ranges, conflicts_with = "count")]
+    pub range: Option<DeviceRanges>,
     /// Time limit for reaching the base station and joining the run, and for waiting for a lost base station to return.
     #[arg(long, default_value = "30s", value_parser = parse_duration)]
     pub connect_timeout: Duration,
     /// File with the run's key, if the base station requires one.
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
+    /// Folder of `reveille tls init`, for an encrypted endpoint; the subfolder `device` suffices.
+    #[arg(long, value_name = "FOLDER")]
+    pub tls: Option<PathBuf>,
     /// Parent process; this process ends when the parent ends.
     #[arg(long, hide = true, value_parser = whole(1..=i32::MAX), allow_negative_numbers = true)]
     pub parent: Option<i32>,
@@ -365,6 +413,52 @@ pub(crate) struct DeviceArgs {
     /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
     pub untuned: bool,
+}
+
+/// Arguments of `reveille router`.
+#[derive(Args)]
+pub(crate) struct RouterArgs {
+    /// Endpoint on which device processes, observers and further routers connect: tcp/ADDRESS:PORT, or
+    /// tls/ADDRESS:PORT with --tls.
+    #[arg(long)]
+    pub listen: String,
+    /// Endpoint of the base station, or of a router on the way to it: tcp/ADDRESS:PORT, or tls/HOST:PORT with --tls.
+    #[arg(long)]
+    pub connect: String,
+    /// Run name on the bus.
+    #[arg(long)]
+    pub run: RunName,
+    /// File with the run's key, if the base station requires one.
+    #[arg(long, value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
+    /// Folder of `reveille tls init`, for encrypted endpoints; the subfolder `router` suffices.
+    #[arg(long, value_name = "FOLDER")]
+    pub tls: Option<PathBuf>,
+}
+
+/// Devices of a process: ranges in the order of ids, with a gap between each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct DeviceRanges(pub Vec<DeviceRange>);
+
+/// Parses the devices of a process.
+fn parse_ranges(text: &str) -> Result<DeviceRanges, String> {
+    let mut ranges = parse_devices(text)?;
+    if ranges.contains(&DeviceRange::ALL) {
+        return Err("must name devices, such as 0-24; without --range and --count a process runs any".to_owned());
+    }
+    ranges.sort_unstable_by_key(|range| range.first);
+    let mut merged: Vec<DeviceRange> = Vec::new();
+    for range in ranges {
+        match merged.last_mut() {
+            Some(last) if last.contains(range.first) => {
+                return Err(format!("names device {} more than once", range.first));
+            }
+            // Neighbours need one host together.
+            Some(last) if last.first.0.checked_add(last.count) == Some(range.first.0) => last.count += range.count,
+            Some(_) | None => merged.push(range),
+        }
+    }
+    Ok(DeviceRanges(merged))
 }
 
 /// Arguments of `reveille policy-process`.
@@ -405,6 +499,38 @@ impl From<OnLossArg> for OnLoss {
             OnLossArg::End => Self::End,
             OnLossArg::Wait => Self::Wait,
             OnLossArg::Continue => Self::Continue,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_sorted_and_neighbours_are_merged() {
+        let parsed = |text| {
+            let ranges = parse_ranges(text)?;
+            Ok(ranges
+                .0
+                .iter()
+                .map(|range| (range.first.0, range.count))
+                .collect::<Vec<_>>())
+        };
+        assert_eq!(parsed("0-24"), Ok(vec![(0, 25)]));
+        assert_eq!(parsed("30, 0-9,40-44,10"), Ok(vec![(0, 11), (30, 1), (40, 5)]));
+        for (invalid, cause) in [
+            ("all", "must name devices"),
+            ("0-9,9", "names device 9 more than once"),
+            ("3,1-5", "names device 3 more than once"),
+            ("0,5-2", "`5-2`: 5 is larger than 2; use 2-5"),
+            ("", "devices and ranges of devices"),
+        ] {
+            let refusal: Result<_, String> = parsed(invalid);
+            assert!(
+                refusal.as_ref().is_err_and(|why| why.contains(cause)),
+                "{invalid}: {refusal:?}"
+            );
         }
     }
 }

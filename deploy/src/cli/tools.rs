@@ -53,7 +53,7 @@ pub(crate) enum ScenarioCommand {
     /// Validate scenario files, and print a summary and the energy balance of each
     #[command(after_help = examples!(
         "reveille scenario check my.toml",
-        "reveille scenario check paper quick --set devices=100",
+        "reveille scenario check paper quick --devices 100 --set harvest.lambda=0.05",
     ))]
     Check {
         /// Preset names or TOML files.
@@ -62,13 +62,26 @@ pub(crate) enum ScenarioCommand {
         /// Override one scenario field. May be repeated.
         #[arg(long, value_name = "FIELD=VALUE")]
         set: Vec<String>,
+        /// Number of devices N.
+        #[arg(long, short = 'n', allow_negative_numbers = true)]
+        devices: Option<String>,
+        /// Policy.
+        #[arg(long, short)]
+        policy: Option<String>,
+        /// Length of the run K in TTIs.
+        #[arg(long, short = 'k', allow_negative_numbers = true)]
+        ttis: Option<String>,
+        /// Seed of every random draw, such as the positions of the devices.
+        #[arg(long, allow_negative_numbers = true)]
+        seed: Option<String>,
     },
 }
 
 /// Options that select a run on the bus.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct TargetArgs {
-    /// Endpoint of the base station: tcp/ADDRESS:PORT [default: the run on this machine].
+    /// Endpoint of the base station: tcp/ADDRESS:PORT, or tls/HOST:PORT with --tls [default: the run on this
+    /// machine].
     #[arg(long, requires = "run", global = true)]
     pub connect: Option<String>,
     /// Run name [default: the only run on this machine].
@@ -77,6 +90,10 @@ pub(crate) struct TargetArgs {
     /// File with the run's key, which clock commands need [default: the key of the current user's run on this machine].
     #[arg(long, value_name = "FILE", global = true)]
     pub key_file: Option<PathBuf>,
+    /// Folder of `reveille tls init`, for an encrypted endpoint; the subfolder of the role suffices [default: the
+    /// folder of the run on this machine].
+    #[arg(long, value_name = "FOLDER", global = true)]
+    pub tls: Option<PathBuf>,
 }
 
 /// Arguments of `reveille clock`.
@@ -142,9 +159,13 @@ pub(crate) enum ClockSubcommand {
     /// Print whether the run is paused, and its next time slot (TTI)
     #[command(after_help = examples!(
         "reveille clock status",
-        "reveille clock status --run demo --connect tcp/192.0.2.7:7447",
+        "reveille clock status --hosts --run demo --connect tcp/192.0.2.7:7447",
     ))]
-    Status,
+    Status {
+        /// List the device processes with their devices, machines and addresses.
+        #[arg(long)]
+        hosts: bool,
+    },
 }
 
 impl ClockSubcommand {
@@ -152,8 +173,13 @@ impl ClockSubcommand {
     pub(crate) const fn waits(&self) -> bool {
         match self {
             Self::Step { wait, .. } | Self::RunTo { wait, .. } => *wait,
-            Self::Pause | Self::Resume | Self::Pace { .. } | Self::Act(_) | Self::Status => false,
+            Self::Pause | Self::Resume | Self::Pace { .. } | Self::Act(_) | Self::Status { .. } => false,
         }
+    }
+
+    /// Whether the command prints the hosts after the status.
+    pub(crate) const fn lists_hosts(&self) -> bool {
+        matches!(self, Self::Status { hosts: true })
     }
 
     /// Returns the command to send to the clock.
@@ -168,7 +194,7 @@ impl ClockSubcommand {
             Self::Resume => ClockCommand::Resume,
             Self::Pace { pace } => ClockCommand::Pace(*pace),
             Self::Act(act) => return Err(act),
-            Self::Status => ClockCommand::Status,
+            Self::Status { .. } => ClockCommand::Status,
         })
     }
 }

@@ -6,8 +6,8 @@
 
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{anyhow, bail, ensure};
@@ -16,14 +16,15 @@ use reveille_bs::observer::Observer;
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::{self, BsError, RunProgress, RunSpec, ServerConfig, ServerOutcome, policy_port};
 use reveille_bs::session::Session;
-use reveille_common::bus::{Bus, DeclarationGuard, draw_secret};
+use reveille_common::bus::{Bus, DeclarationGuard, Endpoint, Role, draw_secret};
 use reveille_common::keys::RunName;
 use reveille_common::message::{DescribeRequest, InputLogRequest, Pace, ScenarioDescription};
 use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::StopWhen;
-use reveille_view::metrics::ProcessStats;
+use reveille_view::metrics::{HostLabels, ProcessStats};
 
+use super::device::split_process_name;
 use super::inspect::source::device_groups;
 use super::resolve_scenario::resolve_started_run;
 use super::resume::{self, ResumePlan};
@@ -31,7 +32,7 @@ use super::{print_results, window_length};
 use crate::audit::{self, Auditor, device_owner_clause};
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, FeedHandle, FeedOrigin};
-use crate::display::{RunProgressBar, note};
+use crate::display::{RunProgressBar, count_noun, note};
 use crate::exit::Interrupted;
 use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::policy_process::PolicyProcess;
@@ -41,7 +42,7 @@ use crate::run_folder::RunFolder;
 use crate::run_watchers::RunWatchers;
 use crate::signals::{SignalMode, Signals, run_on_thread};
 use crate::summary::{Summary, Timing};
-use crate::{file_limits, key, recording, run_registry};
+use crate::{file_limits, key, recording, run_registry, tls};
 
 /// Time between two checks for the cause of an end.
 const CAUSE_POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -55,6 +56,7 @@ const OBSERVER_DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Serves a run to device processes started separately.
 pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
+    let tls_files = tls::files_of_role(args.tls.as_deref(), &[Role::Bs])?;
     let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
     check_observers(&args.output, &args.drive)?;
     let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
@@ -62,7 +64,11 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
-    let bus = Bus::listen(&args.listen, args.run.clone()).await?;
+    let endpoint = Endpoint {
+        address: &args.listen,
+        tls: tls_files.as_ref(),
+    };
+    let bus = Bus::listen(endpoint, args.run.clone()).await?;
     // The folder comes last: --force empties it, and an endpoint in use must not cost the old run.
     let folder = RunFolder::create(&args.output, &scenario)?;
     let window = window_length(&args.output, &scenario);
@@ -79,10 +85,11 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     };
     if !args.output.quiet {
         note!(
-            "waiting for {} devices: reveille device --connect {} --run {} --count …",
-            scenario.run.devices,
+            "waiting for {}: reveille device --connect {} --run {}{}",
+            count_noun(scenario.run.devices, "device"),
             run_registry::reachable_endpoint(bus.endpoint()),
-            args.run
+            args.run,
+            if args.tls.is_some() { " --tls FOLDER" } else { "" }
         );
     }
     let progress = Arc::new(RunProgress::default());
@@ -90,6 +97,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
         &RunService {
             bus: &bus,
             run: &args.run,
+            tls: args.tls.as_deref(),
             scenario: &scenario,
             settings,
             output: &args.output,
@@ -114,6 +122,8 @@ pub(crate) struct RunService<'a> {
     pub bus: &'a Bus,
     /// The run's name.
     pub run: &'a RunName,
+    /// The folder of certificates, if the bus is encrypted.
+    pub tls: Option<&'a Path>,
     /// The scenario.
     pub scenario: &'a Scenario,
     /// Server settings of the run. The mark of a resumed run replaces `window_ttis`.
@@ -161,6 +171,7 @@ pub(crate) fn server_settings(drive: &DriveArgs, output: &OutputArgs, window: u6
         lookahead: !drive.no_lookahead,
         pace: drive.pace,
         on_loss: drive.on_loss.into(),
+        loss_timeout: drive.loss_timeout,
         window_ttis: window,
         join_timeout: None,
         starts_paused: drive.paused,
@@ -191,9 +202,8 @@ pub(crate) async fn serve_run(
         ..
     } = service;
     let starting = start_observation(service, folder.path()).await.and_then(|observation| {
-        let policy = service
-            .policy_source
-            .start(bus, service.settings.run_key, progress, output.quiet)?;
+        let (key, tls) = (service.settings.run_key, service.tls);
+        let policy = service.policy_source.start((bus, tls), key, progress, output.quiet)?;
         Ok((observation, policy))
     });
     let (observation, policy_process) = match starting {
@@ -271,7 +281,7 @@ pub(crate) async fn serve_run(
         }
     };
     // Sent only now: it tells the hosts whether the run failed, and writing the results can fail too.
-    server::dismiss_hosts(bus, result.as_ref().err().map(|error| format!("{error:#}")))?;
+    server::dismiss_hosts(bus, result.as_ref().err().map(|error| format!("{error:#}"))).await?;
     bus.flush_observers(OBSERVER_DRAIN_TIMEOUT).await;
     if let Some(feed_handle) = feed_handle {
         // The run has ended for all other programs.
@@ -407,10 +417,8 @@ fn with_cause(cause: &str, error: &anyhow::Error) -> anyhow::Error {
     if error.to_string() == cause {
         return anyhow!("{cause}");
     }
-    if let Some(BsError::HostLost { host, first, last, tti }) = error.downcast_ref() {
-        anyhow!(
-            "{cause}: lost host {host} with devices {first} to {last} at TTI {tti}; use --resume to continue the run"
-        )
+    if let Some(BsError::HostLost { lost, tti }) = error.downcast_ref() {
+        anyhow!("{cause}: lost {lost} at TTI {tti}; use --resume to continue the run")
     } else {
         anyhow!("{cause}: {error:#}")
     }
@@ -438,6 +446,22 @@ struct RunObservation {
     feed_handle: Option<FeedHandle>,
 }
 
+/// The hosts with devices and their numbers of devices, for the metrics.
+fn host_devices(progress: &RunProgress) -> Vec<(HostLabels, u32)> {
+    let owners = progress.owners.lock().unwrap_or_else(PoisonError::into_inner);
+    let labels = owners.iter().map(|(assignment, name)| {
+        let (pid, machine, address) = split_process_name(name);
+        let labels = HostLabels {
+            host: assignment.host.0,
+            pid: pid.to_owned(),
+            machine: machine.to_owned(),
+            address: address.to_owned(),
+        };
+        (labels, assignment.count)
+    });
+    labels.collect()
+}
+
 /// Starts all that observes the run in `folder`, before any device joins.
 async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::Result<RunObservation> {
     let RunService {
@@ -448,7 +472,7 @@ async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::R
         progress,
         ..
     } = service;
-    let registration = run_registry::register(run, bus.endpoint(), service.settings.run_key);
+    let registration = run_registry::register(run, bus.endpoint(), service.settings.run_key, service.tls, folder);
     if let Err(error) = &registration {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` cannot find this run; give them --run {run} and --connect {}, or set \
@@ -471,6 +495,7 @@ async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::R
         let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
         ProcessStats {
             hosts: load(&progress.active_host_count),
+            host_devices: host_devices(&progress),
             late_ttis: load(&progress.late_ttis),
             max_late_s: load(&progress.max_late_ns) as f64 / 1e9,
             dropped_frames: bus_copy.dropped_frames(),
@@ -522,8 +547,9 @@ fn timing(served: &ServerOutcome, preparation_time: Duration) -> Timing {
     Timing {
         ready_s: (preparation_time + served.joining_time).as_secs_f64(),
         run_s,
-        ttis_per_s: served.outcome.ttis_done as f64 / run_s,
-        hosts: served.host_count,
+        // Without the TTIs that a resumed run replays before.
+        ttis_per_s: served.outcome.ttis_done.saturating_sub(served.first_tti.0) as f64 / run_s,
+        hosts: served.process_count,
         grants: served.grant_count,
         late_ttis: served.lateness.late_ttis,
         max_late_ms: served.lateness.max_delay.as_secs_f64() * 1e3,

@@ -1,16 +1,23 @@
 //! `reveille clock`: pause, step and resume a run, and act on it. The printed status is the text of `ClockStatus`
 //! (`common/src/message/control.rs`), which `tests/src/process.rs` and `tests/chaos/bus_runs.py` parse.
 
+use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use reveille_common::bus::Bus;
-use reveille_common::message::{ActRequest, ClockCommand, ClockStatus};
+use anyhow::Context as _;
+use reveille_common::bus::{Bus, Role};
+use reveille_common::message::{
+    ActRequest, ClockCommand, ClockStatus, DescribeRequest, InputLogPart, InputLogRequest, OperatorAction,
+};
+use reveille_lab::external_inputs;
+use reveille_view::recording::ScenarioBundle;
 use tokio::sync::Notify;
 
+use crate::action_text::describe_change;
 use crate::cli::ClockArgs;
-use crate::display::{self, note};
+use crate::display::{self, count_noun, note};
 use crate::exit::ExitReason;
 use crate::run_registry;
 
@@ -24,9 +31,9 @@ const PAUSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// Sends a command to a run's clock and prints its position.
 pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let address = run_registry::find(&args.target)?;
-    let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
-        .await?
-        .with_key(address.key);
+    let bus = address
+        .connect(&[Role::Operator, Role::Observer], QUERY_TIMEOUT)
+        .await?;
     let command = match args.command.clock_command() {
         Ok(command) => command,
         // Not a failure: `clock act` has an action instead of a command.
@@ -57,26 +64,61 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     };
     let status_text = match wait_timeout {
         Some(timeout) => wait_for_target(&bus, &ended, status, timeout).await?,
-        None => status.to_string(),
+        None => status_text(&status, args.command.lists_hosts()),
     };
     display::print_stdout(&format!("{status_text}\n"))?;
     bus.close().await;
     Ok(ExitReason::Done.into())
 }
 
+/// Formats `status`, with a line for each host if `lists_hosts`.
+fn status_text(status: &ClockStatus, lists_hosts: bool) -> String {
+    let listed = status.hosts.iter().filter(|_| lists_hosts);
+    let lines = listed.map(|host| format!("\n  {host}{}", if host.is_lost { " (lost)" } else { "" }));
+    status.to_string() + &lines.collect::<String>()
+}
+
 /// Sends an action and prints the TTI in which it takes effect.
 async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> {
+    // Without the earlier actions, the answer does not tell on which devices the action has no effect.
+    let (earlier_actions, device_count) = read_actions(&bus).await.unwrap_or_default();
     let Some(tti) = bus.query(request, QUERY_TIMEOUT).await? else {
         return Err(bus.no_run_error().await.into());
     };
-    // Without `at`, its text names only the changes.
-    let changes = ActRequest {
-        at: None,
-        ..request.clone()
-    };
-    display::print_stdout(&format!("TTI {tti}: {changes}\n"))?;
+    let mut failed = BTreeSet::new();
+    for action in earlier_actions.iter().filter(|action| action.tti <= tti) {
+        describe_change(&action.change, device_count, &mut failed);
+    }
+    let changes = request.changes.iter();
+    let changes: Vec<String> = changes
+        .map(|change| describe_change(change, device_count, &mut failed))
+        .collect();
+    display::print_stdout(&format!("TTI {tti}: {}\n", changes.join(", ")))?;
     bus.close().await;
     Ok(ExitReason::Done.into())
+}
+
+/// Reads the actions in the input log of the run, in the order in which they take effect, and its number of devices.
+async fn read_actions(bus: &Bus) -> anyhow::Result<(Vec<OperatorAction>, u32)> {
+    let description = bus.query(&DescribeRequest, QUERY_TIMEOUT).await?;
+    let scenario = ScenarioBundle::from(description.context("the run has ended")?).load()?;
+    let mut log = Vec::new();
+    loop {
+        let from = log.len() as u64;
+        let part = bus.query(&InputLogRequest { from }, QUERY_TIMEOUT).await?;
+        let bytes = part.context("the run has ended")?.bytes;
+        log.extend_from_slice(&bytes);
+        // A part shorter than the limit ends the log.
+        if (bytes.len() as u64) < InputLogPart::MAX_BYTES {
+            break;
+        }
+    }
+    let mut actions = Vec::new();
+    if !log.is_empty() {
+        actions = external_inputs::parse_actions(&String::from_utf8_lossy(&log), &scenario)?;
+    }
+    actions.sort_by_key(|action| action.tti);
+    Ok((actions, scenario.run.devices))
 }
 
 /// Waits until the clock reaches the target, the TTI `until` in `reply`, the answer to the command. Returns the status
@@ -96,7 +138,7 @@ async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout:
         if status.paused || status.tti > target || polled_time >= timeout {
             return Ok(status.to_string());
         }
-        if !status.lost.is_empty() && !has_noted_loss {
+        if status.lost_hosts().next().is_some() && !has_noted_loss {
             note!("{status}");
             has_noted_loss = true;
         }
@@ -111,7 +153,7 @@ async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout:
         let Some(next_status) = next_reply else {
             let last_tti = status.tti;
             if last_tti.0 >= ttis {
-                return Ok(format!("finished: all {ttis} TTIs are done"));
+                return Ok(format!("finished after {}", count_noun(ttis, "TTI")));
             }
             // A target at the end of the run is reached by a run that has ended, even if no status showed it.
             anyhow::ensure!(

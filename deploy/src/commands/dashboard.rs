@@ -1,14 +1,17 @@
 //! `reveille dashboard`: a live or recorded run in the browser, served by the module `dashboard`. `up --dashboard`
-//! serves the same page without this command. Tests wait for the note `dashboard at`, read the address up to `;`, and
-//! rely on handlers of signals installed before it.
+//! serves the same page without this command. Tests wait for the note `dashboard at`, read the address up to the end
+//! of its line, and rely on handlers of signals installed before it. Readers copy the line, so nothing may follow the
+//! address.
 
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::Context;
+use reveille_bs::scenario::compare_scenarios;
+use reveille_common::bus::Role;
 use reveille_common::message::Frame;
-use reveille_view::compare::{RunComparison, RunSide, compare_scenarios};
+use reveille_view::compare::{RunComparison, RunSide};
 
 use super::inspect::live::Live;
 use super::inspect::source::{device_groups, open_recording};
@@ -106,7 +109,7 @@ async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()
     // Installed after the recording is read: until then the default action ends the program.
     let signals = Signals::install(SignalMode::HasNoResults)?;
     let dashboard = serve(&args.listen, feed, None).await?;
-    note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
+    note!("dashboard at {}\npress Ctrl-C to end", dashboard.url);
     signals.wait_for_first().await;
     Ok(())
 }
@@ -114,7 +117,7 @@ async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()
 async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     // Read before connecting: frames that arrive during a long read could be lost.
     let compared = read_compared(args.compare.as_deref())?;
-    let mut live = Live::connect(&args.target).await?;
+    let mut live = Live::connect(&args.target, &[Role::Operator, Role::Observer]).await?;
     let bundle = live.bundle().await?;
     let scenario = bundle.load()?;
     let compared = add_scenario_differences(compared, &bundle.text)?;
@@ -128,7 +131,7 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
         compared,
     );
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
-    note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
+    note!("dashboard at {}\npress Ctrl-C to end", dashboard.url);
     let feed_handle = feed.open()?;
     live.follow(catch_up, |frame| feed_handle.send(frame)).await?;
     // The last handle: its drop ends the feed, so that the page shows the end.

@@ -32,6 +32,7 @@ pub(super) fn format_balance(balance: &EnergyBalance) -> String {
             lines.push(format!("  harvest         {}", format_harvest(class.harvest)));
         }
         lines.extend(format_costs(class, balance));
+        lines.push(format_affordable_sensing(class, balance));
         lines.extend(format_longest_gap(class, balance));
     }
     lines.join("\n") + "\n"
@@ -77,6 +78,21 @@ fn format_costs(class: &ClassBalance, balance: &EnergyBalance) -> Vec<String> {
             ""
         ),
     ]
+}
+
+/// Formats the share of TTIs in which devices of `class` can sense.
+fn format_affordable_sensing(class: &ClassBalance, balance: &EnergyBalance) -> String {
+    let format_share = |reports_per_tti: f64| match class.affordable_sensing(reports_per_tti) {
+        share if share <= 0.0 => "no TTI".to_owned(),
+        share if share >= 1.0 => "every TTI".to_owned(),
+        share => format!("{} % of TTIs", format_significant(100.0 * share, 3)),
+    };
+    format!(
+        "  harvest pays    sensing in {};\n{:18}in {} with one report per event",
+        format_share(0.0),
+        "",
+        format_share(balance.reports_per_device_tti)
+    )
 }
 
 /// Formats the longest stretch without harvest, and how many batteries sleeping through it takes.

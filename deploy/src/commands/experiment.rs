@@ -89,6 +89,9 @@ fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
         let Some((field, value)) = text.split_once('=') else {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
+        if value.contains(',') && matches!(parse_value(value), Value::String(_)) && !value.contains('"') {
+            bail!("--set {text}: sets one value in all runs; sweep several values with --grid {text}");
+        }
         let origin = format!("--set {}", text.trim());
         // `add_axis` maps former names itself.
         let field = builder.current_path(field.trim(), &origin);

@@ -245,7 +245,8 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 /// Draws an event on the map of the devices.
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_repeated_run(args.run.as_deref(), &args.scenario)?;
-    let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
+    let choice = args.event.unwrap_or(deployment::EventChoice::Automatic);
+    let event_scene = deployment::EventScene::from_scenario(&scenario, choice)?;
     let name = deployment::file_name(&scenario, &event_scene);
     write_picture(&args.pictures, &name, &deployment::scene(&scenario, &event_scene))?;
     Ok(ExitCode::SUCCESS)
@@ -399,7 +400,7 @@ fn file_stem(path: &Path) -> String {
 
 /// Adds the most similar known field to the error about an unknown one.
 fn with_suggestion(error: FigureError) -> anyhow::Error {
-    let FigureError::UnknownField { name, known } = &error else {
+    let FigureError::UnvariedField { name, known } = &error else {
         return error.into();
     };
     // Leaked, since clap keeps only static names; the program ends after this error.
@@ -408,26 +409,37 @@ fn with_suggestion(error: FigureError) -> anyhow::Error {
     anyhow!("{error}{hint}")
 }
 
-/// Draws a metric against a field, with a picture for each combination of the other fields.
+/// Draws metrics against a field, with a picture for each metric and each combination of the other fields.
 fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
     let filter = args.filter.iter();
-    let spec = SweepFigureSpec {
-        x_field: canonical_field(&args.x),
-        metric: args.y.clone(),
-        line_field: canonical_field(&args.by),
-        filter: filter
-            .map(|(field, value)| (canonical_field(field), value.clone()))
-            .collect(),
-        is_log_x: args.log.contains(&AxisArg::X),
-        is_log_y: args.log.contains(&AxisArg::Y),
+    let filter: Vec<_> = filter
+        .map(|(field, value)| (canonical_field(field), value.clone()))
+        .collect();
+    let draw = |metric: &String| {
+        let spec = SweepFigureSpec {
+            x_field: canonical_field(&args.x),
+            metric: metric.clone(),
+            line_field: canonical_field(&args.by),
+            filter: filter.clone(),
+            is_log_x: args.log.contains(&AxisArg::X),
+            is_log_y: args.log.contains(&AxisArg::Y),
+        };
+        let pictures = spec.draw(&results).map_err(with_suggestion)?;
+        Ok((spec, pictures))
     };
-    let pictures = spec.draw(&results).map_err(with_suggestion)?;
-    let first_field = pictures.first().and_then(|picture| picture.facet.first());
-    if let (Some(differences), Some((field, value))) = (note_on_several(&pictures), first_field) {
-        note!("{differences}; use --where to choose, for example --where {field}={value}");
+    // A refused metric must not leave the pictures of the others.
+    let drawn = args.y.iter().map(draw).collect::<anyhow::Result<Vec<_>>>()?;
+    // All metrics have the same pictures, except undefined ones.
+    if let Some((_, pictures)) = drawn.first() {
+        let first_field = pictures.first().and_then(|picture| picture.facet.first());
+        if let (Some(differences), Some((field, value))) = (note_on_several(pictures), first_field) {
+            note!("{differences}; use --where to choose, for example --where {field}={value}");
+        }
     }
-    write_sweep_pictures(&args.pictures, &spec, &pictures)?;
+    for (spec, pictures) in &drawn {
+        write_sweep_pictures(&args.pictures, spec, pictures)?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,11 +1,13 @@
 //! The subcommands, one file or folder each, which execute the options of `cli`; `main.rs` calls them. Shared parts:
-//! `resolve_scenario` and `experiment` for the start, `resume` for a resumed run, `figure_files` for files of tables
-//! and figures, `energy_balance` for a scenario. Start with `run` for a run in memory, and `bs` for a run over the bus.
+//! `resolve_scenario` and `experiment` for the start, `resume` and `continued_run` for a resumed run, `figure_files`
+//! for files of tables and figures, `energy_balance` for a scenario. Start with `run` for a run in memory, and `bs` for
+//! a run over the bus.
 
 pub(crate) mod analyse;
 pub(crate) mod bs;
 pub(crate) mod clock;
 pub(crate) mod compare;
+pub(crate) mod continued_run;
 pub(crate) mod dashboard;
 pub(crate) mod device;
 mod energy_balance;
@@ -13,13 +15,18 @@ mod experiment;
 mod figure_files;
 pub(crate) mod figures;
 pub(crate) mod inspect;
+pub(crate) mod link;
 pub(crate) mod merge;
 pub(crate) mod report;
 mod resolve_scenario;
 mod resume;
+pub(crate) mod router;
 pub(crate) mod run;
 pub(crate) mod scenario;
 pub(crate) mod sweep;
+pub(crate) mod testbed;
+#[cfg(feature = "tls")]
+pub(crate) mod tls;
 pub(crate) mod train;
 #[cfg(feature = "tune")]
 pub(crate) mod tune;
@@ -37,9 +44,14 @@ use crate::results_table::{self, Rows};
 use crate::summary::Summary;
 use crate::terminal;
 
-/// Length of a window of `windows.csv`, TTIs. The help of `--window` states the default.
+/// Length of a window of `windows.csv`, TTIs.
 pub(crate) fn window_length(args: &OutputArgs, scenario: &Scenario) -> u64 {
-    args.window.unwrap_or_else(|| scenario.run.ttis.div_ceil(100))
+    args.window.unwrap_or_else(|| default_window(scenario))
+}
+
+/// Default length of a window, TTIs. The help of `--window` and of `inspect export --every` states it.
+pub(crate) const fn default_window(scenario: &Scenario) -> u64 {
+    scenario.run.ttis.div_ceil(100)
 }
 
 /// Prints the summary in the chosen form and returns the exit code. Scripts and tests read the line `digest …` of

@@ -61,30 +61,46 @@ fn resolve_new_run(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<Exte
         return Ok((resolve_options(args, load_with_external)?, None));
     };
     let log_path = find_replay_log(replayed_path)?;
-    let mut args = ScenarioArgs {
+    let own_options = ScenarioArgs {
         policy: None,
         ..args.clone()
     };
-    // Without other options the scenario is the one in the log's run folder.
+    let args = ScenarioArgs {
+        policy: Some(outside::EXTERNAL_NAME.to_owned()),
+        ..with_scenario_of_log(&own_options, &log_path)
+    };
+    let scenario = resolve_options(&args, load_with_external)?;
+    let inputs = read_log_of_run(&log_path, &scenario, own_options.is_given())
+        .map_err(|error| anyhow!("--policy {REPLAY_PREFIX}{}: {error:#}", replayed_path.display()))?;
+    Ok((scenario, Some(inputs)))
+}
+
+/// Returns `args` with the scenario in the run folder of the input log at `log_path`, if the folder has one and `args`
+/// are not given.
+pub(super) fn with_scenario_of_log(args: &ScenarioArgs, log_path: &Path) -> ScenarioArgs {
+    let mut args = args.clone();
     let log_folder_scenario = log_path.with_file_name(SCENARIO_FILE);
-    let has_options = args.is_given();
-    if !has_options && log_folder_scenario.is_file() {
+    if !args.is_given() && log_folder_scenario.is_file() {
         args.scenario = log_folder_scenario.to_string_lossy().into_owned();
     }
-    // Set after `is_given`, for which only the user's own options count.
-    args.policy = Some(outside::EXTERNAL_NAME.to_owned());
-    let scenario = resolve_options(&args, load_with_external)?;
-    let inputs = input_log::read_nonempty(&log_path, &scenario).map_err(|error| {
+    args
+}
+
+/// Reads the input log at `path` for a run of `scenario`, which the command line changes if it `has_options`.
+///
+/// # Errors
+/// If the log holds no input, cannot be read or belongs to another run. The error then names the options to use.
+pub(super) fn read_log_of_run(path: &Path, scenario: &Scenario, has_options: bool) -> anyhow::Result<ExternalInputs> {
+    input_log::read_nonempty(path, scenario).map_err(|error| {
         let hint = match error.downcast_ref() {
-            Some(InputLogError::Scenario) if has_options && log_folder_scenario.is_file() => {
+            Some(InputLogError::Scenario) if has_options && path.with_file_name(SCENARIO_FILE).is_file() => {
                 "; leave out the other scenario options to use the scenario in the folder of the log"
             }
             Some(InputLogError::Scenario) => "; use the scenario and seed of the logged run",
             _ => "",
         };
-        anyhow!("--policy {REPLAY_PREFIX}{}: {error:#}{hint}", replayed_path.display())
-    })?;
-    Ok((scenario, Some(inputs)))
+        anyhow!("{error:#}{hint}")
+    })
 }
 
 /// Returns the input log that `--policy replay=PATH` names, a file or the log in a run folder.
@@ -166,6 +182,26 @@ fn resolve_options(
     args: &ScenarioArgs,
     load_scenario: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
 ) -> anyhow::Result<Scenario> {
+    let Loaded { scenario, warnings } = load_scenario(&args.scenario, &parse_overrides(args)?)?;
+    let name = scenario.policy.name();
+    let learns = registry::named(name).is_some_and(|policy| policy.learns);
+    if args.learn && !learns {
+        anyhow::bail!(
+            "--learn: policy {name} does not learn; add --policy {}",
+            registry::comma_separated_names(|policy| policy.learns)
+        );
+    }
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(scenario)
+}
+
+/// Returns the fields that `--set` and the other options override.
+///
+/// # Errors
+/// If an option is invalid or contradicts `--set`.
+pub(super) fn parse_overrides(args: &ScenarioArgs) -> anyhow::Result<Vec<Override>> {
     if let Some(list) = args.policy.as_ref().filter(|policy| policy.contains(',')) {
         anyhow::bail!("--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`");
     }
@@ -198,19 +234,7 @@ fn resolve_options(
             overrides.push(Override::from_flag("--learn", &field, "true")?);
         }
     }
-    let Loaded { scenario, warnings } = load_scenario(&args.scenario, &overrides)?;
-    let name = scenario.policy.name();
-    let learns = registry::named(name).is_some_and(|policy| policy.learns);
-    if args.learn && !learns {
-        anyhow::bail!(
-            "--learn: policy {name} does not learn; add --policy {}",
-            registry::comma_separated_names(|policy| policy.learns)
-        );
-    }
-    for warning in &warnings {
-        tracing::warn!("{warning}");
-    }
-    Ok(scenario)
+    Ok(overrides)
 }
 
 /// Returns an error for a field set both by its own option and by `--set`: one of them would have no effect.

@@ -20,7 +20,7 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions, StopWhen};
 use reveille_view::metrics::ProcessStats;
 
-use super::resolve_scenario::resolve_started_run;
+use super::resolve_scenario::{read_log_of_run, resolve_started_run, with_scenario_of_log};
 use super::{print_results, window_length};
 use crate::child_process;
 use crate::cli::RunArgs;
@@ -42,7 +42,7 @@ const DOUBLE_COST_DEVICES: u64 = 20_000;
 /// Runs a scenario in memory.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
-    let (scenario, recorded_inputs) = resolve_started_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_scenario(args)?;
     crate::run_watchers::check(&args.output)?;
     // Read before the folder is created: a log that does not match leaves no folder behind.
     let given_inputs = read_given_inputs(args, &scenario, recorded_inputs)?;
@@ -138,6 +138,15 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     print_results(&args.output, &summary, &path)
 }
 
+/// Returns the scenario, which can be the one next to the log of `--input-log`, and the inputs in the log of
+/// `--policy replay=FILE`, if given.
+fn resolve_scenario(args: &RunArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
+    match &args.input_log {
+        Some(log_path) => resolve_started_run(&with_scenario_of_log(&args.scenario, log_path), &args.output),
+        None => resolve_started_run(&args.scenario, &args.output),
+    }
+}
+
 /// Returns the external inputs of the command line: the inputs of `--input-log`, or the `recorded_inputs` of
 /// `--policy replay=FILE` and a script of actions. Returns `None` without such an option.
 fn read_given_inputs(
@@ -168,7 +177,7 @@ fn read_given_inputs(
         "--input-log: policy external takes all inputs from --policy replay=FILE; use that option, or choose a \
          built-in policy"
     );
-    let inputs = input_log::read_nonempty(path, scenario).context("--input-log")?;
+    let inputs = read_log_of_run(path, scenario, args.scenario.is_given()).context("--input-log")?;
     Ok(Some(inputs))
 }
 
@@ -246,8 +255,8 @@ impl<F: FnMut(Frame), W: Observer> Observer for RunObservers<'_, F, W> {
         self.watchers.notify(notification);
     }
 
-    fn wants_states(&self) -> bool {
-        self.frame_observer.wants_states() || self.watchers.wants_states()
+    fn states_due(&self) -> Tti {
+        self.frame_observer.states_due().min(self.watchers.states_due())
     }
 
     fn wants_beliefs(&self) -> bool {

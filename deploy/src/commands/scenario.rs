@@ -11,8 +11,9 @@ use reveille_bs::scenario::{Loaded, Override, PRESETS, Preset, load_with_externa
 use reveille_common::energy_balance::EnergyBalance;
 
 use super::energy_balance::format_balance;
-use crate::cli::ScenarioCommand;
-use crate::display::{self, WIDTH, note, wrap_text};
+use super::resolve_scenario::parse_overrides;
+use crate::cli::{ScenarioArgs, ScenarioCommand};
+use crate::display::{self, WIDTH, count_noun, note, wrap_text};
 use crate::paths::check_output_path;
 
 /// Shows or checks scenarios.
@@ -30,14 +31,35 @@ pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
             source: Some(source),
             set,
         } => {
-            let Loaded { scenario, warnings } = load_with_external(source, &parse_overrides(set)?)?;
+            let overrides = parse_overrides(&ScenarioArgs {
+                set: set.clone(),
+                ..ScenarioArgs::default()
+            });
+            let Loaded { scenario, warnings } = load_with_external(source, &overrides?)?;
             print_warnings(source, &warnings);
             display::print_stdout(&scenario.to_full_toml(&registry::all_policies()))?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Schema { out } => write_or_print(out.as_deref(), &schema()),
         ScenarioCommand::Reference { out } => write_or_print(out.as_deref(), &reference()),
-        ScenarioCommand::Check { sources, set } => check_sources(sources, &parse_overrides(set)?),
+        ScenarioCommand::Check {
+            sources,
+            set,
+            devices,
+            policy,
+            ttis,
+            seed,
+        } => {
+            let overrides = parse_overrides(&ScenarioArgs {
+                set: set.clone(),
+                devices: devices.clone(),
+                policy: policy.clone(),
+                ttis: ttis.clone(),
+                seed: seed.clone(),
+                ..ScenarioArgs::default()
+            });
+            check_sources(sources, &overrides?)
+        }
     }
 }
 
@@ -49,9 +71,9 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
             Ok(Loaded { scenario, warnings }) => {
                 print_warnings(source, &warnings);
                 let line = format!(
-                    "{source}: ok. {} devices, {} TTIs, policy {}, hash {}",
-                    scenario.run.devices,
-                    scenario.run.ttis,
+                    "{source}: ok. {}, {}, policy {}, hash {}",
+                    count_noun(scenario.run.devices, "device"),
+                    count_noun(scenario.run.ttis, "TTI"),
                     scenario.policy.name(),
                     &scenario.hash_hex()[..16]
                 );
@@ -87,9 +109,4 @@ fn write_or_print(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
         None => display::print_stdout(text)?,
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Parses the arguments of `--set`.
-fn parse_overrides(set: &[String]) -> anyhow::Result<Vec<Override>> {
-    Ok(set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?)
 }

@@ -239,11 +239,11 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
     } = *best_point(history)?;
     let pictures: Vec<String> = pictures.iter().map(|path| path.display().to_string()).collect();
     Ok(format!(
-        "{} · N = {} · {} points · seed {}\n{table}\nbest: μ1 = {mu1}, μ2 = {mu2}\nto train with them:\n  {}\n\
+        "{} · N = {} · {} · seed {}\n{table}\nbest: μ1 = {mu1}, μ2 = {mu2}\nto train with them:\n  {}\n\
          history in {}, pictures in {}\n",
         history.header_value("objective"),
         args.devices,
-        history.points.len(),
+        display::count_noun(history.points.len(), "point"),
         args.episodes.seed,
         training_command(args, [mu1, mu2]),
         args.out.display(),
@@ -319,9 +319,9 @@ impl TuningProgress for TuningDisplay {
     fn point_started(&self, number: usize, [mu1, mu2]: WeightPair) {
         let best_text = self.format_best();
         self.bar.set_message(format!(
-            "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){best_text}",
+            "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({}){best_text}",
             number + 1,
-            self.runs_per_pair
+            display::count_noun(self.runs_per_pair, "run")
         ));
     }
 

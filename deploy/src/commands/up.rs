@@ -10,6 +10,7 @@ use anyhow::Context;
 use reveille_bs::server::ServerConfig;
 use reveille_common::bus::{self, Bus, draw_secret, scaled_timeout};
 use reveille_common::keys::RunName;
+use reveille_common::message::HostOffer;
 use reveille_device::host::{self, HostConfig, HostError};
 
 use super::bs::{RunService, check_observers, serve_run, server_settings};
@@ -62,6 +63,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
                 },
                 bus: &bus,
                 run: &run,
+                tls: None,
                 scenario: &scenario,
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
@@ -104,7 +106,7 @@ async fn serve_with_devices(
         // Without a tap, since the base station already copies both directions.
         let host_bus = service.bus.without_tap();
         let host_config = HostConfig {
-            max_devices: devices,
+            offer: HostOffer::AtMost(devices),
             name: "the base station's own process".to_owned(),
             key: service.settings.run_key,
             patience: CHILD_PATIENCE,

@@ -15,7 +15,7 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use reveille_common::bus::Bus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{MessageKind, Plane};
+use reveille_common::message::{Frame, Message, MessageKind, Plane};
 use reveille_view::filter::{Filter, StateName};
 use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
@@ -238,6 +238,8 @@ pub(super) struct MessageQuery {
     plane: Option<String>,
     /// Leaves out the messages of the emulation plane.
     hide_emu: Option<bool>,
+    /// Leaves out messages without news: grants of TTIs without an event, and recorded states.
+    hide_quiet: Option<bool>,
     kind: Option<String>,
     device: Option<u32>,
     cluster: Option<u32>,
@@ -308,6 +310,13 @@ impl MessageQuery {
     }
 }
 
+/// Whether a message has no news for a reader: a grant of TTIs without an event, or recorded states. The map shows the
+/// states.
+fn is_quiet(frame: &Frame) -> bool {
+    let has_no_event = || matches!(frame.message(), Ok(Message::World(world)) if world.stimulus.is_none());
+    frame.kind == MessageKind::States || (frame.kind == MessageKind::World && has_no_event())
+}
+
 /// The names in a comma-separated list.
 fn split_names(names: Option<&str>) -> impl Iterator<Item = &str> {
     let names = names.unwrap_or_default().split(',').map(str::trim);
@@ -317,10 +326,12 @@ fn split_names(names: Option<&str>) -> impl Iterator<Item = &str> {
 pub(super) async fn messages(State(served): State<ApiState>, Query(query): Query<MessageQuery>) -> ApiResult {
     let filter = query.filter(&served.feed)?;
     let limit = query.limit.unwrap_or(MAX_MESSAGES).min(MAX_MESSAGES);
+    // Kinds that the reader names take precedence.
+    let hides_quiet = query.hide_quiet == Some(true) && split_names(query.kind.as_deref()).next().is_none();
     let rows = served
         .read_feed(move |feed| {
             feed.history(|history| {
-                let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
+                let row = |(number, frame): (u64, &Frame)| {
                     let text = match frame.message() {
                         Ok(message) => message.to_string(),
                         Err(error) => format!("invalid message: {error}"),
@@ -335,11 +346,9 @@ pub(super) async fn messages(State(served): State<ApiState>, Query(query): Query
                         "text": text,
                     })
                 };
-                history
-                    .frames(&filter, limit)
-                    .into_iter()
-                    .map(row)
-                    .collect::<Vec<Value>>()
+                let frames = history.frames(&filter);
+                let shown = frames.filter(|(_, frame)| !hides_quiet || !is_quiet(frame));
+                shown.take(limit).map(row).collect::<Vec<Value>>()
             })
         })
         .await?;

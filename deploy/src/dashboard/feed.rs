@@ -3,14 +3,13 @@
 //! requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`, and often in
 //! `tests/program/dashboard.rs` and `tests/browser/check.py`.
 
-use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use reveille_bs::scenario::Scenario;
+use reveille_bs::scenario::{FieldDifference, Scenario};
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::voronoi_cells;
 use reveille_common::ids::{DeviceId, Tti};
@@ -18,14 +17,14 @@ use reveille_common::message::{EventUpdate, Frame, Message, MessageKind, WakeOut
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::units::Energy;
 use reveille_view::batch_receiver::{BatchReceiver, lower_priority};
-use reveille_view::compare::{FieldDifference, FirstDifference, RunComparison, RunSide};
+use reveille_view::compare::{FirstDifference, RunComparison, RunSide};
 use reveille_view::history::{RunHistory, TtiSnapshot};
 use reveille_view::traffic::TrafficStats;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
 
 use super::curves::{CURVE_METRICS, CurvePoint, Curves};
-use super::events::EventLog;
+use super::events::{EventLog, cause_text};
 use super::timeline::{TimelineCursor, TimelineRequest, battery_byte};
 
 /// TTIs of a live run that stay available for inspection; `docs/inspecting.md` states the number.
@@ -34,8 +33,6 @@ const MAX_LIVE_TTIS: u64 = 100_000;
 const QUEUE_CAPACITY: usize = 65_536;
 /// Longest single wait for frames; after it the thread waits again.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
-/// Maximum number of events in the list of the latest events.
-const MAX_TICKER_EVENTS: usize = 6;
 
 /// The place that the frames of a feed come from.
 #[derive(Clone, Copy)]
@@ -89,8 +86,6 @@ struct FeedState {
     broken_reason: Option<String>,
     /// Outcomes so far of the current event.
     event_outcomes: Vec<String>,
-    /// The last events with their outcomes, the latest first.
-    ticker: VecDeque<Value>,
     events: EventLog,
     /// Time of the first grant, and of the end of the feed.
     started: Option<Instant>,
@@ -179,7 +174,6 @@ impl Feed {
                 curves: Curves::new(scenario.run.ttis),
                 broken_reason: None,
                 event_outcomes: Vec::new(),
-                ticker: VecDeque::new(),
                 events: EventLog::new(positions),
                 started: None,
                 ended: None,
@@ -274,7 +268,7 @@ impl Feed {
         now["broken"] = json!(state.broken_reason);
         now["events"] = json!(events.events);
         now["missed"] = json!(events.misdetected);
-        now["ticker"] = json!(state.ticker);
+        now["last_events"] = state.events.last_events(Tti(next.0.saturating_sub(1)));
         let wall_time = |started: Instant| state.ended.unwrap_or_else(crate::runtime::now) - started;
         now["wall_s"] = json!(state.started.map(|started| wall_time(started).as_secs_f64()));
         now["messages"] = json!(state.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>());
@@ -283,8 +277,13 @@ impl Feed {
 
     /// The data of TTI `tti`, if it is available.
     pub(crate) fn tti_json(&self, tti: Tti) -> Option<Value> {
-        let snapshot = self.lock().history.snapshot_at(tti)?;
-        Some(self.snapshot_json(tti, &snapshot))
+        let state = self.lock();
+        let snapshot = state.history.snapshot_at(tti)?;
+        let last_events = state.events.last_events(tti);
+        drop(state);
+        let mut moment = self.snapshot_json(tti, &snapshot);
+        moment["last_events"] = last_events;
+        Some(moment)
     }
 
     fn snapshot_json(&self, tti: Tti, snapshot: &TtiSnapshot) -> Value {
@@ -302,6 +301,7 @@ impl Feed {
             "ended": snapshot.ended_event.map(|record| json!({
                 "event": record.event,
                 "delay": record.delay(),
+                "cause": cause_text(&record),
                 "information": record.tally.information(),
                 "reports": record.tally.reports,
                 "wake_ups": record.tally.wake_ups,
@@ -339,11 +339,17 @@ impl Feed {
                 "devices": difference.devices(),
             })
         };
+        // The counts of both runs cover the same TTIs, also if this run is active or was cut short.
+        let end = state.history.available_ttis().1;
+        let last = Tti(end.0.saturating_sub(1));
+        let (events, missed) = feed.lock().events.counted_until(last);
         Some(json!({
             "other": feed.about,
+            "other_events": events,
+            "other_missed": missed,
             "fields": fields,
             // A side that has ended counts as compared to `NEVER`; the run's own end limits that.
-            "compared": comparison.compared_until().min(state.history.available_ttis().1),
+            "compared": comparison.compared_until().min(end),
             "differences": comparison.differences().into_iter().map(difference_json).collect::<Vec<_>>(),
         }))
     }
@@ -456,15 +462,10 @@ impl FeedState {
         let device = frame.number.map_or_else(String::new, |number| number.to_string());
         if let Message::Event(EventUpdate::Started(_)) = message {
             self.event_outcomes.clear();
-        } else if let Message::Event(update) = message {
-            if let EventUpdate::Ended(record) = update {
-                let (first, _) = self.history.available_ttis();
-                self.events.push(record, first);
-            }
-            let (tti, text) = (frame.tti, update.to_string());
-            self.ticker
-                .push_front(json!({ "tti": tti, "text": text, "who": self.event_outcomes }));
-            self.ticker.truncate(MAX_TICKER_EVENTS);
+        } else if let Message::Event(EventUpdate::Ended(record)) = message {
+            let (first, _) = self.history.available_ttis();
+            self.events
+                .push(record, std::mem::take(&mut self.event_outcomes), first);
         } else if let Message::Report(_) = message {
             self.event_outcomes.push(format!("{device} reported"));
         } else if let Message::Lost(_) = message {

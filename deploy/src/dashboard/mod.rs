@@ -27,7 +27,7 @@ use tokio::net::TcpListener;
 use self::api::{ApiState, check_request};
 use self::feed::Feed;
 use self::page::PAGE;
-use crate::metrics_server::listen_error;
+use crate::metrics_server::{listen_error, local_target};
 
 /// The content security policy: the browser loads content from this server only.
 const CONTENT_POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; \
@@ -50,7 +50,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     let local_address: SocketAddr = listener.local_addr().map_err(to_listen_error)?;
     let token = draw_secret()?.to_string();
     // Browsers send no fragment to a server, so the token stays out of logs.
-    let url = format!("http://{local_address}/#{token}");
+    let url = format!("http://{}/#{token}", local_target(local_address));
     let state = ApiState::new(feed, bus, token, local_address);
     // `check_request` asks no token for paths outside `/api/`, nor for GET on a loopback address: a route that shows
     // the run belongs under `/api/`, and one that changes it is a POST.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use reveille_common::event::Stimulus;
 use reveille_common::ids::Tti;
-use reveille_common::message::{Change, HostAnswer, WakeOutcome};
+use reveille_common::message::{Change, HostAnswer, UnableDetectors, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use tokio::sync::mpsc::UnboundedReceiver;
 
@@ -80,7 +80,8 @@ impl Actor {
         tracing::trace!(%tti, device = %self.machine.id(), ?sensed, state = ?self.machine.state(), "sensed");
         let answer = match sensed {
             SenseOutcome::Nothing => DeviceAnswer::Nothing,
-            SenseOutcome::Unpowered => DeviceAnswer::Unpowered,
+            SenseOutcome::Failed => DeviceAnswer::Unable(UnableDetectors::FAILED),
+            SenseOutcome::Unpowered => DeviceAnswer::Unable(UnableDetectors::UNPOWERED),
             SenseOutcome::TransmissionFailed(failure) => DeviceAnswer::Failed(failure),
             SenseOutcome::Reported(report) => {
                 // Sent before the part is added, since the answer must follow the reports whose number it states.

@@ -17,7 +17,7 @@ use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 /// Largest capacity with which a host processes messages on the delivering thread. The ledgers of 256 devices (at most
 /// 250 B each) or their reports, with keys, fill at most half of the link's queue. A longer ledger or report lowers
 /// this number. `docs/design.md` and `docs/command-line.md` repeat it.
-pub(super) const MAX_INLINE_DEVICES: u32 = 256;
+pub const MAX_INLINE_DEVICES: u32 = 256;
 
 /// A message from the base station to a host.
 pub(super) enum HostMessage {

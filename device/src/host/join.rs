@@ -9,20 +9,20 @@ use std::time::Duration;
 
 use reveille_common::bus::{Bus, BusError, draw_nonce};
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::message::{HostSetup, JoinReply, JoinRequest, Ready};
+use reveille_common::message::{HostOffer, HostSetup, JoinReply, JoinRequest, Ready};
 use reveille_common::secret::Secret;
 
 use super::dispatch::{Dispatcher, MAX_INLINE_DEVICES};
 use super::{HostError, HostExit, HostShared};
 
-/// The pause between two join requests while no assignment is free.
+/// The pause between two join requests while the host waits for an assignment.
 const RETRY_PAUSE: Duration = Duration::from_millis(250);
 
 /// The settings of a host process.
 #[derive(Clone, Debug)]
 pub struct HostConfig {
-    /// The largest number of devices that the process runs, lost ones included.
-    pub max_devices: u32,
+    /// The devices that the process offers to run. The number in `AtMost` includes lost devices.
+    pub offer: HostOffer,
     /// The host's name in messages to the operator.
     pub name: String,
     /// The run's key, for runs that only admit hosts with the key.
@@ -67,14 +67,20 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
             let Some(assignment) = request_assignment(bus, &config, on_event).await? else {
                 return Ok(());
             };
-            let spare_devices = config.max_devices.saturating_sub(assignment.devices.len() as u32);
+            let max_devices = config.offer.max_devices();
+            let spare_devices = max_devices.saturating_sub(assignment.devices.len() as u32);
             let own_assignment = run_assignment(bus, assignment, &config, on_event);
             let exit = if spare_devices > 0 && config.stands_by {
                 // Devices taken over later share this process's link. The total capacity therefore decides, not the
                 // remaining capacity.
-                let forces_worker = config.forces_worker || config.max_devices > MAX_INLINE_DEVICES;
+                let forces_worker = config.forces_worker || max_devices > MAX_INLINE_DEVICES;
                 let takeover_config = HostConfig {
-                    max_devices: spare_devices,
+                    offer: match config.offer {
+                        HostOffer::AtMost(_) => HostOffer::AtMost(spare_devices),
+                        HostOffer::Share | HostOffer::Lost | HostOffer::Nothing | HostOffer::Exactly(_) => {
+                            HostOffer::Lost
+                        }
+                    },
                     forces_worker,
                     ..config.clone()
                 };
@@ -122,7 +128,7 @@ async fn request_assignment(
 ) -> Result<Option<HostSetup>, HostError> {
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        count: config.max_devices,
+        offer: config.offer,
         nonce: draw_nonce()?,
         name: config.name.clone(),
     };
@@ -133,6 +139,7 @@ async fn request_assignment(
                 assignment.validate().map_err(HostError::Assignment)?;
                 return Ok(Some(*assignment));
             }
+            Ok(Some(JoinReply::AwaitShare)) => tokio::time::sleep(RETRY_PAUSE).await,
             Ok(Some(JoinReply::Retry(reason))) if config.stands_by => {
                 if !is_standing_by {
                     tracing::info!("{reason}");
@@ -143,6 +150,9 @@ async fn request_assignment(
             }
             Ok(Some(JoinReply::Retry(reason) | JoinReply::Refused(reason))) | Err(BusError::Refused(reason)) => {
                 return Err(HostError::Refused(reason));
+            }
+            Ok(Some(JoinReply::Routes(_))) => {
+                return Err(HostError::Assignment("it is for a router".to_owned()));
             }
             // The base station has answered before, so its run is over.
             Ok(None) if is_standing_by => return Ok(None),
@@ -171,7 +181,8 @@ async fn run_assignment(
     let shared = Arc::new(HostShared::new(&bus, assignment)?);
     let message_handler = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
-    let dispatcher = Dispatcher::new(config.max_devices.max(count), config.forces_worker, move |message| {
+    let max_devices = config.offer.max_devices().max(count);
+    let dispatcher = Dispatcher::new(max_devices, config.forces_worker, move |message| {
         message_handler.dispatch(message);
     });
     let _declared = shared.declare(&bus, dispatcher)?;

@@ -28,6 +28,7 @@ use self::dispatch::{Dispatcher, HostMessage};
 use crate::grant_follower::{Disposition, FollowerStart, GrantFollower, GrantTask, HostRequest, WakeUpTask};
 use crate::machine::{Machine, Physics};
 
+pub use self::dispatch::MAX_INLINE_DEVICES;
 pub use self::join::{HostConfig, HostEvent, run_host};
 
 /// Time limit for asking a base station that is back whether it still knows this host. A restarted base station serves

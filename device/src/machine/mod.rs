@@ -54,8 +54,10 @@ const MAX_SPAN_TTIS: u64 = 1 << 13;
 /// The outcome of a stimulus for a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SenseOutcome {
-    /// No effect: δ = 0, out of range, not detected, in S3 already, or a failed or removed device.
+    /// No effect: δ = 0, out of range, not detected, in S3 already, or a removed device.
     Nothing,
+    /// The device would have detected the event, but an operator had failed it.
+    Failed,
     /// The device would have detected the event, but could not pay for S1.
     Unpowered,
     /// S1 → S2 → S3.
@@ -440,17 +442,19 @@ impl Machine {
     pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> SenseOutcome {
         self.begin(k);
         let d = self.position.distance(stimulus.epicentre);
-        let is_unpowered =
-            self.state == DeviceState::Sleep { powered: false } && self.duty.is_on(k) && !self.is_removed;
-        if !(self.state == DeviceState::Idle || is_unpowered)
-            || !physics.sensing.detects(physics.seed, stimulus.event, self.id, d)
+        if self.is_removed || !self.duty.is_on(k) || !physics.sensing.detects(physics.seed, stimulus.event, self.id, d)
         {
-            SenseOutcome::Nothing
-        } else if is_unpowered {
-            SenseOutcome::Unpowered
-        } else {
-            self.transmit(k, d, physics)
-                .map_or_else(SenseOutcome::TransmissionFailed, SenseOutcome::Reported)
+            return SenseOutcome::Nothing;
+        }
+        match self.state {
+            DeviceState::Idle => self
+                .transmit(k, d, physics)
+                .map_or_else(SenseOutcome::TransmissionFailed, SenseOutcome::Reported),
+            DeviceState::Sleep { powered: false } => SenseOutcome::Unpowered,
+            DeviceState::Failed => SenseOutcome::Failed,
+            DeviceState::Sleep { powered: true } | DeviceState::Active | DeviceState::Transmission => {
+                SenseOutcome::Nothing
+            }
         }
     }
 

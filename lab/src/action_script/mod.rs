@@ -24,6 +24,8 @@ use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::{Energy, MAX_UNITS};
 
+use crate::external_inputs;
+
 /// The largest size of a script, bytes. The experiments of sweeps contain their scripts, so their limit is larger
 /// (`MAX_EXPERIMENT_BYTES` in `sweep/folder.rs`).
 const MAX_SCRIPT_BYTES: u64 = 4 << 20;
@@ -34,14 +36,20 @@ const MAX_ACTIONS: usize = 10_000_000;
 const FORMS: &str = "use `TTI ACTION` or `from TTI [to TTI] every TTIS ACTION [at random]`, where ACTION is `fail \
     DEVICES [for TTIS]`, `revive DEVICES`, `energy DEVICES UNITS` or `set FIELD VALUE`";
 
-/// The error in a line that is not an action of the run.
+/// An error in a script.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}: {cause}")]
-pub struct ScriptError {
-    /// The line number, from 1.
-    line: usize,
-    /// The cause and the fix.
-    cause: String,
+pub enum ScriptError {
+    /// A line is not an action of the run.
+    #[error("line {line}: {cause}")]
+    Line {
+        /// The line number, from 1.
+        line: usize,
+        /// The cause and the fix.
+        cause: String,
+    },
+    /// The text starts like an input log, and its actions cannot be used.
+    #[error("{0}")]
+    Log(String),
 }
 
 /// Returns the text of the script at `path`.
@@ -61,14 +69,21 @@ pub fn read(path: &Path, files: &dyn Files) -> Result<String, String> {
         .map_err(|_| "not a text file; name a script of timed actions (see docs/actions.md)".to_owned())
 }
 
-/// Parses a script for a run of `scenario`. Returns its actions in the order of TTIs, and those of one TTI in the order
-/// of lines.
+/// Parses a script for a run of `scenario`, or the input log of any run, which is a script of its actions. Returns the
+/// actions in the order of TTIs; actions of one TTI are in the order of lines.
 ///
 /// # Errors
 /// If a line has none of the forms, or names an impossible action. Whether it does must not depend on the seed: sweeps
 /// check a script with the first seed only.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<Vec<OperatorAction>, ScriptError> {
     let mut actions = Vec::new();
+    // No line of a script starts with a brace, and every line of an input log does.
+    if text.starts_with('{') {
+        actions =
+            external_inputs::parse_actions(text, scenario).map_err(|error| ScriptError::Log(error.to_string()))?;
+        actions.sort_by_key(|action| action.tti);
+        return Ok(actions);
+    }
     for (line, line_text) in (1..).zip(text.lines()) {
         let words: Vec<&str> = line_text
             .split('#')
@@ -80,11 +95,32 @@ pub fn parse(text: &str, scenario: &Scenario) -> Result<Vec<OperatorAction>, Scr
             continue;
         }
         let result = parse_line(&words).and_then(|parsed| parsed.add_to(&mut actions, line as u64, scenario));
-        result.map_err(|cause| ScriptError { line, cause })?;
+        result.map_err(|cause| ScriptError::Line { line, cause })?;
     }
     // Stable, so that a revival precedes the next failure in the same TTI.
     actions.sort_by_key(|action| action.tti);
     Ok(actions)
+}
+
+/// Returns a warning, a sentence without its stop, if `actions` are in the warm-up of `scenario`, which no metric
+/// counts.
+pub fn warm_up_warning(actions: &[OperatorAction], scenario: &Scenario) -> Option<String> {
+    let warm_up_end = scenario.warm_up_end();
+    let early = || actions.iter().map(|action| action.tti).filter(|tti| *tti < warm_up_end);
+    let (first, last) = (early().min()?, early().max()?);
+    let ttis = if first == last {
+        format!("TTI {first}")
+    } else {
+        format!("TTIs {first} to {last}")
+    };
+    // Rounded down, so that the count starts at the first action or a little earlier.
+    let warm_up = (first.0 as f64 / scenario.run.ttis as f64 * 1e4).floor() / 1e4;
+    Some(format!(
+        "{} of {} actions ({ttis}) are in the warm-up, which no metric counts; use TTIs from {warm_up_end} on, or \
+         --set warm_up={warm_up} to count from the first action",
+        early().count(),
+        actions.len()
+    ))
 }
 
 /// The times of a line, in TTIs.
@@ -118,18 +154,25 @@ pub fn parse_devices(text: &str) -> Result<Vec<DeviceRange>, String> {
     if text == "all" {
         return Ok(vec![DeviceRange::ALL]);
     }
-    let range = |item: &str| {
+    let ends = |item: &str| -> Option<(u32, u32)> {
         let (first, last) = item.split_once('-').unwrap_or((item, item));
-        let (first, last): (u32, u32) = (first.trim().parse().ok()?, last.trim().parse().ok()?);
-        let count = last.checked_sub(first)?.checked_add(1)?;
-        let range = DeviceRange {
-            first: DeviceId(first),
-            count,
-        };
-        (range != DeviceRange::ALL).then_some(range)
+        Some((first.trim().parse().ok()?, last.trim().parse().ok()?))
     };
-    let ranges = text.split(',').map(range).collect::<Option<Vec<_>>>();
-    ranges.ok_or_else(|| format!("`{text}` must be `all`, or devices and ranges of devices such as 3,7,10-14"))
+    let range = |item| {
+        // A range of `u32::MAX` devices from 0 on would mean all devices.
+        let ends = ends(item).filter(|ends| !matches!(ends, (0, last) if *last >= u32::MAX - 1));
+        let ends =
+            ends.ok_or_else(|| format!("`{text}` must be `all`, or devices and ranges of devices such as 3,7,10-14"));
+        let (first, last) = ends?;
+        let distance = last.checked_sub(first);
+        let distance =
+            distance.ok_or_else(|| format!("`{first}-{last}`: {first} is larger than {last}; use {last}-{first}"))?;
+        Ok(DeviceRange {
+            first: DeviceId(first),
+            count: distance + 1,
+        })
+    };
+    text.split(',').map(range).collect()
 }
 
 /// Parses an amount of energy, units.

@@ -44,6 +44,25 @@ fn lines_become_actions_in_the_order_of_ttis() {
 }
 
 #[test]
+fn an_input_log_is_a_script_of_its_actions_for_another_scenario() {
+    let logged = scenario(&["devices=20", "ttis=3000"]);
+    let lines = [
+        "{\"outage\":{\"tti\":700,\"first\":0,\"count\":2,\"wake_ups\":null}}",
+        "{\"revive\":{\"tti\":900,\"first\":3,\"count\":5}}",
+        "{\"fail\":{\"tti\":500,\"first\":3,\"count\":5}}",
+    ];
+    let log = external_inputs::first_line(&logged) + &lines.join("\n") + "\n";
+    assert!(external_inputs::parse(&log, &logged).is_ok(), "{log}");
+    assert!(external_inputs::parse(&log, &test_scenario()).is_err());
+    assert_eq!(
+        action_lines(&log),
+        ["500 devices 3 to 7 fail", "900 devices 3 to 7 are revived"]
+    );
+    let error = parse(&log, &scenario(&["devices=5"])).expect_err("devices 5 to 7 do not exist");
+    assert!(error.to_string().starts_with("line 3: "), "{error}");
+}
+
+#[test]
 fn all_are_the_devices_of_the_run() {
     let expected = [
         "10 devices 0 to 49 fail",
@@ -136,10 +155,7 @@ fn an_invalid_line_is_refused_with_the_fix() {
             "device 50: not in the run; use `all`, or devices from 0 to 49",
         ),
         ("5 fail 40-50", "devices 40 to 50: not in the run"),
-        (
-            "5 fail 9-3",
-            "`9-3` must be `all`, or devices and ranges of devices such as 3,7,10-14",
-        ),
+        ("5 fail 9-3", "`9-3`: 9 is larger than 3; use 3-9"),
         ("5 fail 1,,2", "must be `all`"),
         ("5 fail all,2", "must be `all`"),
         ("5 fail 0-4294967294", "must be `all`"),
@@ -182,4 +198,22 @@ fn an_invalid_line_is_refused_with_the_fix() {
     let bursts = scenario(&["events.process=bursts"]);
     let error = parse("5 set events.alpha 1", &bursts).expect_err("no rate").to_string();
     assert!(error.contains("no constant rate"), "{error}");
+}
+
+#[test]
+fn actions_in_the_warm_up_cause_a_warning() {
+    let scenario = test_scenario();
+    let warning = |text: &str| warm_up_warning(&parse(text, &scenario).expect(text), &scenario);
+    assert_eq!(scenario.warm_up_end(), Tti(600));
+    assert_eq!(warning("600 fail 3\n900 revive 3"), None);
+    assert_eq!(
+        warning("599 fail 3").as_deref(),
+        Some(
+            "1 of 1 actions (TTI 599) are in the warm-up, which no metric counts; use TTIs from 600 on, or --set \
+             warm_up=0.0998 to count from the first action"
+        )
+    );
+    let partly = warning("0 fail 3\nfrom 100 every 400 energy 1 1").expect("a warning");
+    assert!(partly.starts_with("3 of 16 actions (TTIs 0 to 500) are in"), "{partly}");
+    assert!(partly.contains("--set warm_up=0 to"), "{partly}");
 }

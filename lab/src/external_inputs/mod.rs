@@ -311,6 +311,20 @@ pub fn holds_decisions(text: &str) -> bool {
     })
 }
 
+/// Parses only the actions in the complete lines of a log, for a run of `scenario`, which may differ from the logged
+/// run. Removals and decisions belong to the logged run and are left out.
+///
+/// # Errors
+/// If the text is not an input log, or an action is impossible in a run of `scenario`.
+pub fn parse_actions(text: &str, scenario: &Scenario) -> Result<Vec<OperatorAction>, InputLogError> {
+    let mut parser = InputLogParser {
+        reads_only_actions: true,
+        ..InputLogParser::default()
+    };
+    parser.read(text, scenario)?;
+    Ok(parser.inputs.actions)
+}
+
 /// An incremental parser, for example for the log of a run in progress. After an error it must not be used further.
 #[derive(Clone, Debug, Default)]
 pub struct InputLogParser {
@@ -319,6 +333,8 @@ pub struct InputLogParser {
     line_count: usize,
     /// The version in the first line, once that line is read.
     version: Option<u32>,
+    /// Whether the log may belong to another scenario; all inputs except actions are then left out.
+    reads_only_actions: bool,
 }
 
 impl InputLogParser {
@@ -346,6 +362,7 @@ impl InputLogParser {
             inputs,
             line_count: line_number,
             version: log_version,
+            reads_only_actions,
         } = self;
         let parsed_line = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
         let decision = match parsed_line {
@@ -355,7 +372,9 @@ impl InputLogParser {
             InputLogLine::Inputs { version, .. } if !(1..=VERSION).contains(&version) => {
                 return Err(InputLogError::Version);
             }
-            InputLogLine::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
+            InputLogLine::Inputs { scenario_hash, .. }
+                if !*reads_only_actions && scenario_hash != scenario.hash_hex() =>
+            {
                 return Err(InputLogError::Scenario);
             }
             InputLogLine::Inputs { version, .. } => {
@@ -364,6 +383,14 @@ impl InputLogParser {
             }
             // Everything below is checked against the scenario, which only the first line guarantees.
             _ if log_version.is_none() => return Err(InputLogError::MissingFirstLine(*line_number)),
+            InputLogLine::Removal(_)
+            | InputLogLine::Sense { .. }
+            | InputLogLine::Cycles { .. }
+            | InputLogLine::Wake { .. }
+                if *reads_only_actions =>
+            {
+                return Ok(());
+            }
             InputLogLine::Removal(removal) => {
                 if !is_possible_removal(&removal, &inputs.removals, scenario) {
                     return Err(InputLogError::Removal(*line_number));

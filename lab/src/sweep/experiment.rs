@@ -6,7 +6,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use reveille_bs::scenario::declaration;
+use reveille_bs::scenario::{declaration, flatten};
 use reveille_common::declare::{Declaration, FieldType, FileError, Files, MAX_TEXT_BYTES, join_path};
 use reveille_common::scenario::PRESETS;
 use reveille_common::score::Metrics;
@@ -180,6 +180,40 @@ impl Experiment {
     /// # Errors
     /// If the file cannot be read any more.
     pub(super) fn scenario_text(&self, files: &dyn Files) -> io::Result<Option<String>> {
+        let Some(text) = self.read_scenario_file(files)? else {
+            return Ok(None);
+        };
+        let path = PathBuf::from(self.scenario_source());
+        let table: Table = toml::from_str(&text).map_err(io::Error::other)?;
+        // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
+        let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
+        let mut scenario = Value::Table(table);
+        resolve_file_paths(&declaration(), "", &mut scenario, &folder);
+        Ok(Some(scenario.as_table().map(Table::to_string).unwrap_or_default()))
+    }
+
+    /// Returns the fields of the scenario file as lines of TOML; `None` for a preset. Fields that name files are left
+    /// out, and so are lists of tables, which can hold such fields: with them, the same scenario could have another
+    /// text in another folder.
+    ///
+    /// # Errors
+    /// If the file cannot be read any more.
+    pub(super) fn scenario_fields(&self, files: &dyn Files) -> io::Result<Option<String>> {
+        let Some(text) = self.read_scenario_file(files)? else {
+            return Ok(None);
+        };
+        let declaration = declaration();
+        let fields = flatten(&text).map_err(io::Error::other)?;
+        let names_file = |path: &str, value: &str| is_file_field(&declaration, path, value.trim_matches('"'));
+        let kept = fields
+            .iter()
+            .filter(|(path, value)| !names_file(path, value) && !value.starts_with("[{"));
+        let lines: Vec<String> = kept.map(|(path, value)| format!("{path} = {value}\n")).collect();
+        Ok(Some(lines.concat()))
+    }
+
+    /// Returns the text of the scenario file; `None` for a preset.
+    fn read_scenario_file(&self, files: &dyn Files) -> io::Result<Option<String>> {
         if self.is_preset() {
             return Ok(None);
         }
@@ -188,13 +222,7 @@ impl Experiment {
             FileError::Io(error) => error,
             FileError::Folder | FileError::Special | FileError::TooLong { .. } => io::Error::other(error),
         })?;
-        let text = String::from_utf8(bytes).map_err(io::Error::other)?;
-        let table: Table = toml::from_str(&text).map_err(io::Error::other)?;
-        // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
-        let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
-        let mut scenario = Value::Table(table);
-        resolve_file_paths(&declaration(), "", &mut scenario, &folder);
-        Ok(Some(scenario.as_table().map(Table::to_string).unwrap_or_default()))
+        String::from_utf8(bytes).map(Some).map_err(io::Error::other)
     }
 
     /// The number of cells of the grid: the product of the axes' lengths.

@@ -18,6 +18,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use reveille_common::digits::count_noun;
 use reveille_common::io::Disk;
 
 use super::error::SweepError;
@@ -237,6 +238,8 @@ impl<'g> Sweep<'g> {
             metadata: TableMetadata {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 experiment: self.grid.experiment.to_toml(),
+                // Only for the names of changed fields, so a file that has disappeared is no error.
+                scenario_fields: self.grid.experiment.scenario_fields(&Disk).ok().flatten(),
                 grid_hash: self.grid.fingerprint().to_string(),
                 shard: (self.shard != Shard::WHOLE).then(|| self.shard.to_string()),
             },
@@ -339,8 +342,9 @@ pub fn find_table(folder: &Path) -> Result<PathBuf, SweepError> {
     {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
-            "its {EXPERIMENT_FILE} asks for {requested_seeds} seeds a cell, but {name} holds {table_seeds}; repeat the \
-             command of its sweep, or name the table itself"
+            "its {EXPERIMENT_FILE} asks for {} a cell, but {name} holds {table_seeds}; repeat the \
+             command of its sweep, or name the table itself",
+            count_noun(requested_seeds, "seed")
         )));
     }
     Ok(table)

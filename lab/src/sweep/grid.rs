@@ -91,7 +91,7 @@ impl SweepGrid {
             cells.push(build_cell(&experiment, &columns, &shared_overrides, number, files)?);
         }
         if let Some(actions) = &mut experiment.actions {
-            read_actions(actions, &cells, files)?;
+            read_actions(actions, &mut cells, files)?;
         }
         Ok(Self {
             experiment,
@@ -166,8 +166,9 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     Ok(())
 }
 
-/// Reads the script of `actions`, checks it in all `cells`, and replaces a path in `actions` by the lines.
-fn read_actions(actions: &mut SweepActions, cells: &[GridCell], files: &dyn Files) -> Result<(), SweepError> {
+/// Reads the script of `actions`, checks it in all `cells`, and replaces a path in `actions` by the lines. The first
+/// cell with actions in the warm-up gets a warning.
+fn read_actions(actions: &mut SweepActions, cells: &mut [GridCell], files: &dyn Files) -> Result<(), SweepError> {
     let refused = |name: String, reason: String| SweepError::Actions { name, reason };
     let (name, text) = match actions {
         SweepActions::File(path) => {
@@ -177,9 +178,16 @@ fn read_actions(actions: &mut SweepActions, cells: &[GridCell], files: &dyn File
         }
         SweepActions::Script(text) => ("action_script".to_owned(), std::mem::take(text)),
     };
+    let mut has_warned = false;
     for cell in cells {
         let parsed = action_script::parse(&text, &cell.scenario);
-        parsed.map_err(|error| refused(name.clone(), format!("{error}; in the cell {}", cell.label)))?;
+        let parsed = parsed.map_err(|error| refused(name.clone(), format!("{error}; in the cell {}", cell.label)))?;
+        let warning = action_script::warm_up_warning(&parsed, &cell.scenario).filter(|_| !has_warned);
+        if let Some(warning) = warning {
+            cell.warnings
+                .push(format!("{name}: {warning}; in the cell {}", cell.label));
+            has_warned = true;
+        }
     }
     *actions = SweepActions::Script(text);
     Ok(())

@@ -6,6 +6,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::vec::IntoIter;
 
+use reveille_common::digits::count_noun;
+
 use super::error::SweepError;
 use super::experiment::{Experiment, describe_difference};
 use super::experiment_builder::ExperimentBuilder;
@@ -189,7 +191,11 @@ fn check_complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Ta
         .eq(table.rows.iter().map(|row| row.seed))
     {
         let (rows, runs) = (table.rows.len(), shard.run_count(cells, seeds.count));
-        let reason = format!("it holds {rows} rows that are not the {runs} runs of shard {shard}; run the shard again");
+        let reason = format!(
+            "it holds {}, not the {} of shard {shard}; run the shard again",
+            count_noun(rows, "row"),
+            count_noun(runs, "run")
+        );
         return Err(merge_error(path, reason));
     }
     Ok(())

@@ -392,7 +392,7 @@ fn tables_of_different_sweeps_are_not_merged() {
     assert_refused(other_files, "scenario files or traces");
     let mut incomplete = second;
     incomplete.1.rows.pop();
-    assert_refused(incomplete, "27 rows that are not the 28 runs");
+    assert_refused(incomplete, "27 rows, not the 28 runs");
 }
 
 #[test]

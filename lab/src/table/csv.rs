@@ -5,6 +5,7 @@
 use std::str::FromStr;
 use std::sync::Arc;
 
+use reveille_common::digits::count_noun;
 use reveille_common::score::Metrics;
 
 use super::Table;
@@ -93,7 +94,8 @@ pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismat
     if let Some(rows) = sidecar.row_count.filter(|rows| *rows != records.len()) {
         let found = records.len();
         return Err(SchemaMismatch::Broken(format!(
-            "it has {found} rows, but its side-car says {rows}"
+            "it has {}, but its side-car says {rows}",
+            count_noun(found, "row")
         )));
     }
     Ok(Table {

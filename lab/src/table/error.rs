@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use reveille_common::declare::describe_read_error;
 
 /// The version of the table format, raised when a column changes its name or meaning, or a metric is added. Still read:
-/// version 1, with former names of metrics, and versions 2 and 3, without `Metrics::ADDED_LATER` or part of it.
-pub(crate) const TABLE_VERSION: u32 = 4;
+/// version 1, with former names of metrics, and versions 2 to 4, without `Metrics::ADDED_LATER` or part of it.
+pub(crate) const TABLE_VERSION: u32 = 5;
 
 /// A reason why a result table cannot be read or written.
 #[derive(Debug, thiserror::Error)]

@@ -43,6 +43,7 @@ pub(crate) fn table() -> Table {
         metadata: TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: "devices = [10, 50]\nname = \"a \\\"quoted\\\" one\"\n".to_owned(),
+            scenario_fields: Some("devices = 10\n".to_owned()),
             grid_hash: "00".repeat(32),
             shard: None,
         },

@@ -11,6 +11,8 @@ pub struct TableMetadata {
     /// The experiment as TOML. A CSV file without its sidecar has no metadata: this text, the version and the hash are
     /// then empty.
     pub experiment: String,
+    /// The fields of the scenario file that the experiment names, as TOML, except names of files; `None` for a preset.
+    pub scenario_fields: Option<String>,
     /// SHA-256 over the scenarios of all cells, hexadecimal.
     pub grid_hash: String,
     /// The shard `i/n` of the experiment, or the shards `i,j/n` of a merge; `None` for the whole experiment.
@@ -32,9 +34,12 @@ impl TableMetadata {
             (EXPERIMENT_KEY, self.experiment.clone()),
             (GRID_KEY, self.grid_hash.clone()),
         ];
-        if let Some(shard) = &self.shard {
-            pairs.push((SHARD_KEY, shard.clone()));
-        }
+        let optional = [(SCENARIO_KEY, &self.scenario_fields), (SHARD_KEY, &self.shard)];
+        pairs.extend(
+            optional
+                .into_iter()
+                .filter_map(|(key, value)| Some((key, value.clone()?))),
+        );
         pairs
     }
 
@@ -59,6 +64,7 @@ impl TableMetadata {
         Ok(Self {
             version,
             experiment: text_or_empty(EXPERIMENT_KEY),
+            scenario_fields: value_of(SCENARIO_KEY).map(str::to_owned),
             grid_hash: text_or_empty(GRID_KEY),
             shard: value_of(SHARD_KEY).map(str::to_owned),
         })
@@ -71,6 +77,8 @@ pub(super) const TABLE_VERSION_KEY: &str = "reveille.table";
 pub(super) const REVEILLE_VERSION_KEY: &str = "reveille.version";
 /// The experiment as TOML.
 pub(super) const EXPERIMENT_KEY: &str = "reveille.experiment";
+/// The fields of the scenario file, as TOML; absent for a preset.
+pub(super) const SCENARIO_KEY: &str = "reveille.scenario";
 /// SHA-256 over the scenarios of all cells.
 pub(super) const GRID_KEY: &str = "reveille.grid";
 /// `i/n` in the table of a shard, `i,j/n` in a merge of some shards; absent in a whole table.

@@ -21,6 +21,7 @@ use reveille_bs::policy::q_learning::learned::{
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{PolicyChoice, Scenario};
+use reveille_common::digits::count_noun;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::scenario::WakeUpRanking;
 use reveille_common::units::Energy;
@@ -97,7 +98,7 @@ pub enum TrainingError {
         error: std::io::Error,
     },
     /// Threads cannot be started.
-    #[error("{threads} threads cannot be started: {reason}")]
+    #[error("cannot start {}: {reason}", count_noun(*threads, "thread"))]
     Threads {
         /// The requested number of threads.
         threads: usize,

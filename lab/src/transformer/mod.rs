@@ -16,6 +16,7 @@ use std::collections::BTreeMap;
 use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 use reveille_bs::policy::dt::model::ModelShape;
 use reveille_bs::policy::dt::model::weights::{METADATA_KEY, encode_metadata};
+use reveille_common::digits::count_noun;
 use reveille_common::rng::{Purpose, Stream};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -121,7 +122,10 @@ pub enum TransformerError {
     #[error("{0}")]
     Data(String),
     /// The loss is not finite.
-    #[error("the loss is not finite after {0} steps: the training has failed; a lower --rate may help")]
+    #[error(
+        "the loss is not finite after {}: the training has failed; a lower --rate may help",
+        count_noun(*.0, "step")
+    )]
     Diverged(u64),
     /// The framework has failed.
     #[error("the training framework failed: {0}")]

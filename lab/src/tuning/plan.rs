@@ -10,6 +10,7 @@ use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::q_learning::learned::{CurvePoint, QTrainingConfig, QWeights, TableSet};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{PolicyChoice, Scenario};
+use reveille_common::digits::count_noun;
 use reveille_common::scenario::MAX_TTIS;
 use reveille_common::score::Metrics;
 
@@ -156,11 +157,17 @@ impl TuningPlan {
             (
                 "training",
                 format!(
-                    "{episodes} episodes of {ttis} TTIs, epsilon {} to {}",
-                    epsilon.0, epsilon.1
+                    "{} of {}, epsilon {} to {}",
+                    count_noun(*episodes, "episode"),
+                    count_noun(*ttis, "TTI"),
+                    epsilon.0,
+                    epsilon.1
                 ),
             ),
-            ("evaluation", format!("{} runs of {} TTIs", self.runs, self.ttis)),
+            (
+                "evaluation",
+                format!("{} of {}", count_noun(self.runs, "run"), count_noun(self.ttis, "TTI")),
+            ),
         ];
         entries.map(|(name, value)| (name.to_owned(), value)).to_vec()
     }

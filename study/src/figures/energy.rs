@@ -161,7 +161,7 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
     Chart {
         title: figure_title("Harvest against λ", "Fig. 13 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
-        y_label: "units per device and TTI".to_owned(),
+        y_label: "harvest, units per device and TTI".to_owned(),
         x: lambda_scale(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
@@ -236,7 +236,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
     Some(Chart {
         title: figure_title("Net energy against λ", "Fig. 14 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
-        y_label: "units per device and TTI".to_owned(),
+        y_label: "net energy, units per device and TTI".to_owned(),
         x: lambda_scale(),
         y: Scale::Linear {
             from: NET_RANGE.0,

@@ -1,5 +1,5 @@
 //! Errors in requests for figures. The texts go to the user of `reveille figures`, so they name options and the fix.
-//! `deploy/src/commands/figures.rs` adds a hint to `UnknownField`. The Python package passes the texts on as the
+//! `deploy/src/commands/figures.rs` adds a hint to `UnvariedField`. The Python package passes the texts on as the
 //! messages of its exceptions, options included.
 
 use reveille_bs::policy::q_learning::learned::Lookback;
@@ -59,11 +59,16 @@ pub enum FigureError {
         ttis: u64,
     },
     /// The run has no event.
-    #[error("the run of {ttis} TTIs has no events; give a longer run with --ttis, or a larger events.alpha")]
+    #[error(
+        "the run of {ttis} TTIs has no events; use --event none, a longer run with --ttis, or a larger events.alpha"
+    )]
     NoEvent {
         /// Length of the run, TTIs.
         ttis: u64,
     },
+    /// An event is active in every TTI after the warm-up.
+    #[error("--event none: an event is active in every TTI after the warm-up; give a longer run with --ttis")]
+    NoQuietTti,
     /// The policy has no attention weights; only `dt` has them.
     #[error("--policy {0}: the attention figure is for policy dt only; leave the option out")]
     NoAttention(String),
@@ -139,12 +144,12 @@ pub enum FigureError {
         /// Largest number of items that the figure can show.
         limit: usize,
     },
-    /// The runs have no field with this name.
-    #[error("field `{name}`: unknown field; the runs have {known}")]
-    UnknownField {
+    /// The runs do not differ in a field with this name.
+    #[error("field `{name}`: not varied in these runs; use {known}")]
+    UnvariedField {
         /// Requested field.
         name: String,
-        /// Fields of the runs.
+        /// Fields in which the runs differ, and the columns of every table.
         known: String,
     },
     /// No metric has this name.

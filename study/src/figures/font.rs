@@ -61,7 +61,6 @@ pub(crate) fn text_width(text: &str, weight: Weight, size: f64) -> f64 {
 }
 
 /// Returns whether the font has every letter of `text`.
-#[cfg(test)]
 pub(crate) fn has_all_glyphs(text: &str, weight: Weight) -> bool {
     let face = parse_face(weight);
     text.chars().all(|letter| face.glyph_index(letter).is_some())

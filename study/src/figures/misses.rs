@@ -1,12 +1,15 @@
-//! Figure of missed events: their places in the deployment, with a colour and marker for each cause. [`file_name`]
-//! names the files of `reveille figures misses`. Users' scripts, `docs/reading-results.md` and
-//! `tests/program/misses.rs` have these names.
+//! Figure of missed events: their places in the deployment, with a colour and marker for each cause. Devices that
+//! actions failed have an upright cross, as on the map of the dashboard. [`file_name`] names the files of `reveille
+//! figures misses`. Users' scripts, `docs/reading-results.md` and `tests/program/misses.rs` have these names.
 
 use reveille_common::geometry::voronoi_cells;
+use reveille_common::ids::DeviceId;
 use reveille_common::totals::MissCause;
 
 use super::area_plot::{AreaPlot, Legend, draw_caption, draw_title};
+use super::device_marks::{ClassMarks, MAX_NUMBERED, draw_labels};
 use super::path::VectorPath;
+use super::run_title::run_name;
 use super::scene::{Paint, Scene, Stroke};
 use super::style::{BLUE, COLUMN_WIDTH, GREEN, GREY, LEADING, MarkerShape, ORANGE, PURPLE, SKY, VERMILION};
 use crate::misses::{Misses, cause_name};
@@ -16,7 +19,9 @@ const MAX_CELLS: usize = 1000;
 /// Half the size of the marker of a missed event, points.
 const EVENT_RADIUS: f64 = 2.2;
 /// Radius of the dot of a device, points.
-const DEVICE_RADIUS: f64 = 1.2;
+const DEVICE_RADIUS: f64 = 2.0;
+/// Half the size of the cross of a failed device, points.
+const CROSS_RADIUS: f64 = 3.0;
 
 /// Returns the paint and shape of a cause; `None` is an unknown cause. No two causes share a shape.
 const fn cause_style(cause: Option<MissCause>) -> (Paint, MarkerShape) {
@@ -25,6 +30,7 @@ const fn cause_style(cause: Option<MissCause>) -> (Paint, MarkerShape) {
         Some(MissCause::Removed) => (Paint::Colour(GREY), MarkerShape::Diamond),
         Some(MissCause::Undetected) => (Paint::Colour(PURPLE), MarkerShape::Pentagon),
         Some(MissCause::Asleep) => (Paint::Colour(BLUE), MarkerShape::Circle),
+        Some(MissCause::Failed) => (Paint::Colour(GREY), MarkerShape::SixPoints),
         // Ink, not black, which would vanish on a dark page.
         Some(MissCause::Unpowered) => (Paint::Ink, MarkerShape::TriangleDown),
         Some(MissCause::WakeMissed) => (Paint::Colour(SKY), MarkerShape::Hexagon),
@@ -45,11 +51,7 @@ pub fn file_name(misses: &Misses) -> String {
 pub fn scene(misses: &Misses) -> Scene {
     let scenario = &misses.scenario;
     let mut scene = Scene::new(COLUMN_WIDTH, 0.0);
-    scene.title = format!(
-        "Missed events by cause, policy {}, N = {}",
-        scenario.policy.name(),
-        scenario.run.devices
-    );
+    scene.title = format!("Missed events by cause: {}", run_name(scenario));
     let y = draw_title(&mut scene);
     let plot = AreaPlot::new(scenario.area, y - 2.0);
     if misses.positions.len() <= MAX_CELLS {
@@ -60,20 +62,63 @@ pub fn scene(misses: &Misses) -> Scene {
         }
     }
     plot.draw_axes(&mut scene);
-    for position in &misses.positions {
-        scene.area(
-            VectorPath::circle(plot.to_canvas(*position), DEVICE_RADIUS),
-            Paint::Ink,
-            0.5,
-        );
+    let events: Vec<(f64, f64)> = misses
+        .missed
+        .iter()
+        .map(|event| plot.to_canvas(event.epicentre))
+        .collect();
+    for (event, at) in misses.missed.iter().zip(&events) {
+        draw_miss(&mut scene, event.cause, *at);
     }
-    for event in &misses.missed {
-        draw_miss(&mut scene, event.cause, plot.to_canvas(event.epicentre));
+    let classes = ClassMarks::new(scenario);
+    classes.draw_rings(&mut scene, &plot, &misses.positions);
+    // Devices are on top of the events, which are many.
+    let failed = misses.action_failures();
+    let devices: Vec<(f64, f64)> = misses.positions.iter().map(|p| plot.to_canvas(*p)).collect();
+    for (device, at) in (0..).map(DeviceId).zip(&devices) {
+        if failed.contains_key(&device) {
+            draw_cross(&mut scene, *at);
+        } else {
+            draw_device(&mut scene, *at);
+        }
+    }
+    if devices.len() <= MAX_NUMBERED {
+        let labels: Vec<_> = (0..)
+            .zip(&devices)
+            .map(|(device, at): (u32, _)| (*at, device.to_string()))
+            .collect();
+        let places = devices.iter().enumerate();
+        let markers = places
+            .map(|(device, at)| (*at, classes.radius(device, CROSS_RADIUS)))
+            .collect();
+        draw_labels(&mut scene, (&plot, &classes), &labels, markers, &events);
     }
     let y = draw_legend(&mut scene, misses, plot.bottom() + 2.0 * LEADING + 15.0);
+    let y = classes.draw_legend(&mut scene, y);
     scene.description = caption(misses);
     draw_caption(&mut scene, y);
     scene
+}
+
+fn draw_device(scene: &mut Scene, at: (f64, f64)) {
+    // The light border separates the dot from dark events below it.
+    scene.outlined_area(
+        VectorPath::circle(at, DEVICE_RADIUS),
+        Paint::Ink,
+        Stroke::solid(Paint::Paper, 0.7),
+    );
+}
+
+fn draw_cross(scene: &mut Scene, (x, y): (f64, f64)) {
+    let stroke = Stroke::solid(Paint::Ink, 1.3);
+    scene.line(
+        VectorPath::segment((x - CROSS_RADIUS, y), (x + CROSS_RADIUS, y)),
+        stroke,
+    );
+    scene.line(
+        VectorPath::segment((x, y - CROSS_RADIUS), (x, y + CROSS_RADIUS)),
+        stroke,
+    );
 }
 
 fn draw_miss(scene: &mut Scene, cause: Option<MissCause>, at: (f64, f64)) {
@@ -88,8 +133,18 @@ fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
         let at = legend.place(scene, &format!("{} ({count})", cause_name(cause)));
         draw_miss(scene, cause, at);
     }
-    let at = legend.place(scene, "device");
-    scene.area(VectorPath::circle(at, DEVICE_RADIUS), Paint::Ink, 0.5);
+    let numbers = if misses.positions.len() <= MAX_NUMBERED {
+        ", with its number"
+    } else {
+        ""
+    };
+    let at = legend.place(scene, &format!("device{numbers}"));
+    draw_device(scene, at);
+    let failed = misses.action_failures();
+    if !failed.is_empty() {
+        let at = legend.place(scene, &format!("failed device ({})", failed.len()));
+        draw_cross(scene, at);
+    }
     legend.next_base_line()
 }
 
@@ -103,7 +158,13 @@ fn caption(misses: &Misses) -> String {
             misses.missed_pct()
         )
     };
-    let run = &misses.scenario.run;
-    let advice = misses.advice().map_or_else(String::new, |advice| format!("{advice} "));
-    format!("{share_text} {advice}Preset {}, seed {}.", run.preset, run.seed)
+    let advice = misses
+        .advice()
+        .map_or_else(String::new, |advice| format!("{} ", advice.summary()));
+    let failed_text = match misses.action_failures().len() {
+        0 => "",
+        1 => "A cross marks the device that actions failed. ",
+        _ => "Crosses mark the devices that actions failed. ",
+    };
+    format!("{share_text} {failed_text}{advice}Seed {}.", misses.scenario.run.seed)
 }

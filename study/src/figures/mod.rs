@@ -15,8 +15,8 @@
 //! `reveille figures`, `report` and `tune` and the Python package call these modules. A changed look does not reach
 //! the pictures in `docs/figures/`, which are committed: `docs/figures/make.sh` draws them again.
 //!
-//! Several figures share `area_plot`, `cell_map`, `floor`, `heat`, `note`, `scale`, `stated` and `style`. `paired`
-//! draws nothing: it computes differences for the report and `reveille compare`.
+//! Several figures share `area_plot`, `cell_map`, `device_marks`, `floor`, `heat`, `note`, `run_title`, `scale`,
+//! `stated` and `style`. `paired` draws nothing: it computes differences for the report and `reveille compare`.
 
 pub mod area_plot;
 pub mod attention;
@@ -25,6 +25,7 @@ pub mod chart;
 pub mod chart_grid;
 mod contour;
 pub mod deployment;
+mod device_marks;
 pub mod energy;
 mod error;
 mod file_labels;
@@ -42,6 +43,7 @@ pub mod png;
 pub mod q_table;
 pub mod results;
 pub mod robustness;
+mod run_title;
 pub mod run_walk;
 pub mod scale;
 pub mod scene;

@@ -24,6 +24,8 @@ pub struct Obstacles {
     pub markers: Vec<((f64, f64), f64)>,
     /// Lines, which notes cross only if there is no other room.
     pub lines: Vec<[(f64, f64); 2]>,
+    /// Additional gap between a point and its label, for markers larger than in charts, points.
+    pub extra_gap: f64,
 }
 
 /// Places `labels`, each with its position, within `frame`, clear of each other and of `obstacles`, all in typographic
@@ -53,7 +55,7 @@ pub fn place_notes(labels: &[((f64, f64), &str)], obstacles: &Obstacles, frame: 
                 .count()
         };
         // Of equally good sides `min_by_key` takes the first.
-        let best = candidate_texts(point, label)
+        let best = candidate_texts(point, label, obstacles.extra_gap)
             .into_iter()
             .filter(is_free)
             .min_by_key(crossing_count);
@@ -90,16 +92,16 @@ fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) ->
 }
 
 /// Returns candidate texts right of, left of, above, below and in the corners around a point, in order of preference.
-fn candidate_texts((x, y): (f64, f64), label: &str) -> [Text; 8] {
-    /// Gap between the point and the text, points.
-    const GAP: f64 = MARKER_RADIUS + 2.0;
+fn candidate_texts((x, y): (f64, f64), label: &str, extra_gap: f64) -> [Text; 8] {
+    // Gap between the point and the text, points.
+    let gap = MARKER_RADIUS + 2.0 + extra_gap;
     let half_width = 0.5 * text_width(label, Weight::Regular, TEXT_SIZE);
     let middle = y + 0.36 * TEXT_SIZE;
-    let (above, below) = (y - GAP - 0.24 * TEXT_SIZE, y + GAP + 0.76 * TEXT_SIZE);
+    let (above, below) = (y - gap - 0.24 * TEXT_SIZE, y + gap + 0.76 * TEXT_SIZE);
     let text = |x: f64, y: f64| Text::new(label, (x, y), TEXT_SIZE).anchored(Anchor::Middle);
     [
-        text(x + GAP + half_width, middle),
-        text(x - GAP - half_width, middle),
+        text(x + gap + half_width, middle),
+        text(x - gap - half_width, middle),
         text(x, above),
         text(x, below),
         text(x + MARKER_RADIUS + half_width, above),
@@ -161,6 +163,7 @@ mod tests {
         let obstacles = |lines: &[[(f64, f64); 2]]| Obstacles {
             markers: vec![((50.0, 50.0), MARKER_RADIUS)],
             lines: lines.to_vec(),
+            extra_gap: 0.0,
         };
         let placed = place_notes(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
         assert!(placed[0].bounds()[2] < 50.0, "{placed:?}");

@@ -27,6 +27,9 @@ pub struct PairedDifference {
     pub difference: f64,
     /// Half the width of the 95 % interval of the difference; NaN for one seed.
     pub half_width: f64,
+    /// Half the width of the 95 % interval of the difference as a share of the reference mean (delta method over the
+    /// pairs, since both means vary). NaN without usable pairs, or unless the reference mean is above 0.
+    pub share_half_width: f64,
     /// Whether the interval comes from the differences of pairs. With too few cases it is the sum of the intervals of
     /// both means.
     pub is_paired: bool,
@@ -52,12 +55,17 @@ impl PairedDifference {
         let compared = MetricEstimate::from_rows(&compared_rows, metric)?;
         let reference = MetricEstimate::from_rows(&reference_rows, metric)?;
         let (difference, half_width) = difference_and_half_width(&compared, &reference, &pairs);
+        let (compared_mean, reference_mean) = (compared.mean_estimate.mean, reference.mean_estimate.mean);
+        let ratio_spread = paired_half_width(&compared, &reference, &pairs, compared_mean / reference_mean);
         Some(Self {
             seeds: pairs.len(),
-            compared_mean: compared.mean_estimate.mean,
-            reference_mean: reference.mean_estimate.mean,
+            compared_mean,
+            reference_mean,
             difference,
             half_width,
+            share_half_width: ratio_spread
+                .filter(|_| reference_mean > 0.0)
+                .map_or(f64::NAN, |half_width| half_width / reference_mean),
             is_paired: paired_half_width(&compared, &reference, &pairs, 1.0).is_some(),
         })
     }

@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, Scenario, load_with_files};
+use reveille_bs::scenario::{Override, Scenario, compare_scenarios, flatten, load_with_files};
 use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 
@@ -130,7 +130,7 @@ impl Results {
                 .zip(cell.swept.iter().map(ToString::to_string))
                 .collect::<Vec<_>>()
         };
-        let set_fields = fields_set_by(&table.metadata.experiment);
+        let mut set_fields = fields_set_by(&table.metadata.experiment);
         // All policies of a table share its changes, even a change that affects one policy, so that they stay together.
         let scenario_with = |cell: &CellRuns<'_>, set_fields: &[(String, String)]| {
             reconstruct_scenario(cell.rows[0], &swept_of(cell), set_fields, files)
@@ -142,6 +142,15 @@ impl Results {
             text,
             table: name.to_owned(),
         });
+        if let Some(scenario_fields) = &table.metadata.scenario_fields {
+            let with_file = |cell: &CellRuns<'_>| {
+                let all_fields = [fields_of_file(scenario_fields, &swept_of(cell)), set_fields.clone()].concat();
+                changes_from_preset(cell.rows[0], &scenario_with(cell, &all_fields)?, &swept_of(cell), files)
+            };
+            let by_cell: Option<Vec<_>> = cells_of_known_policies().map(with_file).collect();
+            let changes: Option<BTreeMap<String, String>> = by_cell.map(|cells| cells.into_iter().flatten().collect());
+            set_fields = changes.map_or(set_fields, |changes| changes.into_iter().collect());
+        }
         let has_only_swept_fields = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
         let has_known_changes = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
         let changes = if has_known_changes && !has_only_swept_fields {
@@ -257,6 +266,31 @@ fn fields_set_by(text: &str) -> Vec<(String, String)> {
     set_fields.map(|(path, value)| (path.clone(), to_text(value))).collect()
 }
 
+/// Fields of a scenario file that have a column in every table, or only name the preset.
+const COLUMN_FIELDS: [&str; 5] = ["preset", "devices", "ttis", "seed", "policy.name"];
+
+/// Returns the fields of a scenario file that the columns of a table, `swept` included, do not set; empty if the `text`
+/// cannot be parsed.
+fn fields_of_file(text: &str, swept: &[(String, String)]) -> Vec<(String, String)> {
+    let fields = flatten(text).unwrap_or_default();
+    let is_column = |field: &str| COLUMN_FIELDS.contains(&field) || swept.iter().any(|(path, _)| path == field);
+    fields.into_iter().filter(|(field, _)| !is_column(field)).collect()
+}
+
+/// Returns the fields of the scenario of `row` that differ from its preset, apart from `swept` ones; `None` if a value
+/// cannot be read. A field of the preset without effect in `scenario` is left out.
+fn changes_from_preset(
+    row: &ResultRow,
+    scenario: &Scenario,
+    swept: &[(String, String)],
+    files: &dyn Files,
+) -> Option<Vec<(String, String)>> {
+    let preset = load_with_files(&row.preset, &row_overrides(row, swept)?, files).ok()?;
+    let differences = compare_scenarios(&preset.scenario.to_toml(), &scenario.to_toml()).ok()?;
+    let with_effect = differences.into_iter().filter(|(_, _, value)| value != "none");
+    Some(with_effect.map(|(field, _, value)| (field, value)).collect())
+}
+
 /// Returns the scenario of `row`, if the preset with the table's columns, `swept` and `assignments` reproduces its
 /// hash.
 fn reconstruct_scenario(
@@ -265,23 +299,23 @@ fn reconstruct_scenario(
     assignments: &[(String, String)],
     files: &dyn Files,
 ) -> Option<Scenario> {
-    let assignments = assignments
-        .iter()
-        .chain(swept)
-        .map(|(path, value)| format!("{path}={value}"));
+    let overrides = row_overrides(row, &[assignments, swept].concat())?;
+    let scenario = load_with_files(&row.preset, &overrides, files).ok()?.scenario;
+    // The hash covers every setting of a run, so equal hashes rule out any other change.
+    (scenario.hash() == row.scenario_hash.0).then_some(scenario)
+}
+
+/// Returns the overrides of the run in `row` with the other `fields`; `None` if one cannot be parsed.
+fn row_overrides(row: &ResultRow, fields: &[(String, String)]) -> Option<Vec<Override>> {
+    let assignments = fields.iter().map(|(path, value)| format!("{path}={value}"));
     let row_assignments = [
         format!("policy.name={}", row.policy),
         format!("devices={}", row.n),
         format!("ttis={}", row.ttis),
         format!("seed={}", row.seed),
     ];
-    let overrides: Result<Vec<Override>, _> = assignments
-        .chain(row_assignments)
-        .map(|text| Override::parse(&text))
-        .collect();
-    let scenario = load_with_files(&row.preset, &overrides.ok()?, files).ok()?.scenario;
-    // The hash covers every setting of a run, so equal hashes rule out any other change.
-    (scenario.hash() == row.scenario_hash.0).then_some(scenario)
+    let overrides = assignments.chain(row_assignments).map(|text| Override::parse(&text));
+    overrides.collect::<Result<_, _>>().ok()
 }
 
 impl RunCondition {

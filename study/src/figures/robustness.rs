@@ -205,7 +205,9 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
     let runs = runs_in_words((run_counts.clone().min().unwrap_or(0), run_counts.max().unwrap_or(0)));
     let mut grid = ChartGrid {
         title: format!("Robustness to an imperfect radio, N = {}", scenario.run.devices),
-        columns: METRICS.map(column_heading).to_vec(),
+        columns: METRICS
+            .map(|(metric, _)| Metrics::axis_label(metric).to_owned())
+            .to_vec(),
         rows: impairments.iter().map(row).collect(),
         caption: format!(
             "Preset {}; {runs} of {} TTIs per point, mean with its 95 % interval as band. Plans are resent every {} \
@@ -219,16 +221,6 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
         _ => Scale::linear(ends, true),
     });
     grid
-}
-
-/// Returns the name of a metric with its unit; the unit may begin with the name.
-fn column_heading((metric, name): (&str, &str)) -> String {
-    let unit = Metrics::axis_label(metric);
-    if unit.starts_with(name) {
-        unit.to_owned()
-    } else {
-        format!("{name}, {unit}")
-    }
 }
 
 /// Draws a metric of [`METRICS`] against the level of `impairment`.

@@ -2,6 +2,7 @@
 //! walk only observes: it must equal the run of the same scenario, as a test checks. Operator actions, removals and
 //! decisions of policy processes are not repeated.
 
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
@@ -15,6 +16,11 @@ use reveille_lab::run::{Run, RunOptions};
 
 /// Collects all events of a run of `scenario`, in order, including warm-up events and misdetections.
 pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
+    run_to_end(scenario).0
+}
+
+/// Runs `scenario` to its end. Returns its events as [`collect_events`] does, and its outcome.
+pub(crate) fn run_to_end(scenario: &Scenario) -> (Vec<EventRecord>, RunOutcome) {
     struct EventCollector(Vec<EventRecord>);
     impl Observer for EventCollector {
         fn notify(&mut self, notification: &Notification<'_>) {
@@ -24,8 +30,8 @@ pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
         }
     }
     let mut collector = EventCollector(Vec::new());
-    start(scenario, RunOptions::default()).finish(&mut collector);
-    collector.0
+    let outcome = start(scenario, RunOptions::default()).finish(&mut collector);
+    (collector.0, outcome)
 }
 
 /// Outcome of one TTI. As an observer it begins again with each grant, so a grant must be a single TTI.

@@ -13,8 +13,7 @@ pub enum Scale {
         /// Value at the end, > `from`.
         to: f64,
     },
-    /// Logarithmic scale between powers of ten. [`Scale::ticks`] assumes whole decades; `tuning`, whose ends are
-    /// arbitrary, makes its ticks itself.
+    /// Logarithmic scale between any two ends.
     Log {
         /// Value at the start, > 0.
         from: f64,
@@ -72,6 +71,20 @@ impl Scale {
         Some(Self::Log {
             from: power_of_ten(from as i32),
             to: power_of_ten(to as i32),
+        })
+    }
+
+    /// Creates a logarithmic axis that holds all of `values` above zero with a margin for their markers. `None` without
+    /// such a value.
+    pub fn tight_log(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        /// Smallest ratio of the ends without their margins.
+        const MIN_RATIO: f64 = 1.5;
+        let (low, high) = finite_range(values.into_iter().filter(|x| *x > 0.0))?;
+        let widened = (MIN_RATIO / (high / low)).max(1.0).sqrt();
+        let margin = widened * libm::pow(high / low, 0.04);
+        Some(Self::Log {
+            from: low / margin,
+            to: high * margin,
         })
     }
 
@@ -197,36 +210,39 @@ fn power_of_ten(n: i32) -> f64 {
     libm::exp10(f64::from(n))
 }
 
+/// Returns the ticks of a logarithmic axis at multiples of powers of ten. It labels powers of ten. On a short axis it
+/// also labels some multiples, and on a still shorter one round values at equal distances.
 fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
-    let (first, last) = (log10(from).round() as i32, log10(to).round() as i32);
-    let decades = last - first;
+    const LABELLED: [&[i32]; 3] = [&[1], &[1, 2, 5], &[1, 2, 3, 4, 6, 8]];
+    let (first, last) = (floor(log10(from) + 1e-9) as i32, floor(log10(to) + 1e-9) as i32);
     // With eight decades or more only some have labels.
-    let label_interval = 1 + decades / 8;
-    let mut ticks = Vec::new();
-    for n in first..=last {
-        let value = power_of_ten(n);
-        let is_labelled = (last - n) % label_interval == 0;
-        let text = if is_labelled {
-            format_with_step(value, value.min(1.0))
+    let label_interval = 1 + (last - first) / 8;
+    let multiples = (first..=last)
+        .flat_map(|n| (1..10).map(move |factor| (n, factor, f64::from(factor) * power_of_ten(n))))
+        .filter(|(_, _, value)| (from * (1.0 - 1e-9)..=to * (1.0 + 1e-9)).contains(value));
+    let multiples: Vec<(i32, i32, f64)> = multiples.collect();
+    let label_count = |factors: &[i32]| {
+        multiples
+            .iter()
+            .filter(|(_, factor, _)| factors.contains(factor))
+            .count()
+    };
+    let labelled = LABELLED.into_iter().find(|factors| label_count(factors) >= 3);
+    let labelled = labelled.unwrap_or(LABELLED[LABELLED.len() - 1]);
+    if label_count(labelled) < 2 {
+        let linear = Scale::Linear { from, to };
+        return linear.ticks();
+    }
+    let tick = |(n, factor, value): (i32, i32, f64)| {
+        let is_labelled = labelled.contains(&factor) && (last - n) % label_interval == 0;
+        let label = if is_labelled {
+            format_with_step(value, power_of_ten(n).min(1.0))
         } else {
             String::new()
         };
-        ticks.push(AxisTick { value, label: text });
-        if n == last {
-            break;
-        }
-        for factor in 2..10 {
-            let value = value * f64::from(factor);
-            let is_labelled = decades <= 1 && matches!(factor, 2 | 5);
-            let text = if is_labelled {
-                format_with_step(value, power_of_ten(n).min(1.0))
-            } else {
-                String::new()
-            };
-            ticks.push(AxisTick { value, label: text });
-        }
-    }
-    ticks
+        AxisTick { value, label }
+    };
+    multiples.into_iter().map(tick).collect()
 }
 
 #[cfg(test)]
@@ -298,6 +314,33 @@ mod tests {
         assert_eq!(labels(Scale::log([2.0, 7.0]).expect("a scale")), ["1", "2", "5", "10"]);
         assert_eq!(Scale::log([0.0, -1.0]), None);
         assert_eq!(Scale::log([1.0]).map(Scale::ends), Some((1.0, 10.0)));
+    }
+
+    #[test]
+    fn a_tight_logarithmic_axis_has_a_small_margin_and_labelled_ticks() {
+        let axis = Scale::tight_log([0.03, 0.4, 0.0]).expect("two values above zero");
+        let (from, to) = axis.ends();
+        assert!((0.025..0.03).contains(&from) && (0.4..0.48).contains(&to), "{axis:?}");
+        assert_eq!(labels(axis), ["0.05", "0.1", "0.2"]);
+        for values in [
+            [50.0, 50.0],
+            [60.0, 64.0],
+            [0.2, 0.4],
+            [1.1, 4.8],
+            [2.0, 9.0],
+            [0.9, 1.8],
+            [10.0, 250.0],
+            [1e-4, 7e5],
+        ] {
+            let axis = Scale::tight_log(values).expect("values above zero");
+            let labels = labels(axis);
+            assert!((2..=8).contains(&labels.len()), "{values:?}: {labels:?}");
+            assert!(
+                values.iter().all(|value| (0.01..0.99).contains(&axis.position(*value))),
+                "{values:?}"
+            );
+        }
+        assert_eq!(Scale::tight_log([0.0]), None);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Styles of lines and markers, and the measures of figures. The colours suit colour-blind readers (Okabe and Ito);
 //! each policy has its own marker and dash pattern for print without colours, the same in all figures. No two policies
-//! may share a colour, a marker or dashes.
+//! may share a colour, a marker or dashes. A test compares the colours as colour-blind readers see them.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -25,6 +25,10 @@ pub(crate) const SKY: Rgb = Rgb(0x56, 0xB4, 0xE9);
 
 /// A grey that is distinct from Okabe and Ito's colours in print.
 pub(crate) const GREY: Rgb = Rgb(0x7F, 0x7F, 0x7F);
+/// A dark grey that differs from Okabe and Ito's green and purple for colour-blind readers too.
+const DARK_GREY: Rgb = Rgb(0x5A, 0x5A, 0x5A);
+/// A dark brown, far from Okabe and Ito's other colours. Their sky blue is too close to their blue for two policies.
+const BROWN: Rgb = Rgb(0x75, 0x40, 0x00);
 /// Tol's wine.
 const WINE: Rgb = Rgb(0x88, 0x22, 0x55);
 /// Tol's indigo.
@@ -117,11 +121,11 @@ const POLICY_STYLES: [(&str, Style); 8] = [
     ("genie", Style::new(Paint::Ink, MarkerShape::Star, &[1.0, 1.6])),
     (
         "age-index",
-        Style::new(Paint::Colour(SKY), MarkerShape::Hexagon, &[9.0, 2.5]),
+        Style::new(Paint::Colour(BROWN), MarkerShape::Hexagon, &[9.0, 2.5]),
     ),
     (
         "external",
-        Style::new(Paint::Colour(GREY), MarkerShape::Pentagon, &[9.0, 1.8, 1.6, 1.8]),
+        Style::new(Paint::Colour(DARK_GREY), MarkerShape::Pentagon, &[9.0, 1.8, 1.6, 1.8]),
     ),
 ];
 
@@ -180,7 +184,7 @@ impl Style {
             Self::new(Paint::Colour(GREEN), MarkerShape::Diamond, &[2.0, 1.6]),
             Self::new(Paint::Colour(PURPLE), MarkerShape::TriangleUp, &[6.0, 1.8, 1.6, 1.8]),
             Self::new(Paint::Colour(ORANGE), MarkerShape::TriangleDown, &[3.5, 1.6]),
-            Self::new(Paint::Colour(SKY), MarkerShape::Hexagon, &[9.0, 2.5]),
+            Self::new(Paint::Colour(BROWN), MarkerShape::Hexagon, &[9.0, 2.5]),
         ];
         all[i % all.len()]
     }
@@ -236,6 +240,63 @@ mod tests {
                 assert_ne!(a.paint, b.paint);
                 assert_ne!(a.marker, b.marker);
                 assert_ne!(a.dashes, b.dashes);
+            }
+        }
+    }
+
+    /// Returns the colour in CIE L*a*b*, D65, as `matrix` changes its linear RGB.
+    fn to_lab(paint: Paint, matrix: [[f64; 3]; 3]) -> [f64; 3] {
+        let Rgb(red, green, blue) = match paint {
+            Paint::Colour(colour) => colour,
+            Paint::Ink => Rgb(0, 0, 0),
+            Paint::Paper => Rgb(255, 255, 255),
+        };
+        let linear = [red, green, blue].map(|channel| {
+            let share = f64::from(channel) / 255.0;
+            if share <= 0.04045 {
+                share / 12.92
+            } else {
+                libm::pow((share + 0.055) / 1.055, 2.4)
+            }
+        });
+        let dot = |row: [f64; 3], v: [f64; 3]| row.iter().zip(v).map(|(a, b)| a * b).sum::<f64>();
+        let seen = matrix.map(|row| dot(row, linear).clamp(0.0, 1.0));
+        let [x, y, z] = [
+            dot([0.4124, 0.3576, 0.1805], seen) / 0.950_47,
+            dot([0.2126, 0.7152, 0.0722], seen),
+            dot([0.0193, 0.1192, 0.9505], seen) / 1.088_83,
+        ]
+        .map(|t| {
+            if t > 0.008_856 {
+                libm::cbrt(t)
+            } else {
+                7.787 * t + 16.0 / 116.0
+            }
+        });
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
+    /// Colours of policies are easy to tell apart, also with deuteranopia and protanopia (Machado et al. 2009).
+    #[test]
+    fn colours_of_policies_are_far_apart() {
+        const NORMAL: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        const DEUTERANOPIA: [[f64; 3]; 3] = [
+            [0.367_322, 0.860_646, -0.227_968],
+            [0.280_085, 0.672_501, 0.047_413],
+            [-0.011_82, 0.042_94, 0.968_881],
+        ];
+        const PROTANOPIA: [[f64; 3]; 3] = [
+            [0.152_286, 1.052_583, -0.204_868],
+            [0.114_503, 0.786_281, 0.099_216],
+            [-0.003_882, -0.048_116, 1.051_998],
+        ];
+        for (matrix, least) in [(NORMAL, 30.0), (DEUTERANOPIA, 17.0), (PROTANOPIA, 17.0)] {
+            for (i, (a, a_style)) in POLICY_STYLES.iter().enumerate() {
+                for (b, b_style) in &POLICY_STYLES[..i] {
+                    let [p, q] = [a_style, b_style].map(|style| to_lab(style.paint, matrix));
+                    let distance = p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt();
+                    assert!(distance >= least, "{a} and {b}: {distance:.1}");
+                }
             }
         }
     }

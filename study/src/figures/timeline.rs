@@ -3,7 +3,7 @@
 //! number of devices are also in `deploy/src/cli/figures.rs` and `python/reveille/figures.py`.
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::digits::format_significant;
+use reveille_common::digits::{count_noun, format_significant};
 use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::WakeOutcome;
@@ -14,6 +14,7 @@ use reveille_common::units::Energy;
 use super::error::FigureError;
 use super::font::{Weight, wrap_text};
 use super::path::VectorPath;
+use super::run_title::{policy_sentence, run_name};
 use super::run_walk::{RunWalk, TtiOutcome, collect_events};
 use super::scale::Scale;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
@@ -177,10 +178,9 @@ pub fn file_name(scenario: &Scenario, timeline: &Timeline) -> String {
 pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     scene.title = format!(
-        "Battery and states of {} of {} devices, policy {}",
-        timeline.devices.len(),
-        scenario.run.devices,
-        scenario.policy.name()
+        "Battery and states of {}: {}",
+        count_noun(timeline.devices.len() as u64, "device"),
+        run_name(scenario)
     );
     scene.text(Text::new(scene.title.clone(), (MARGIN, MARGIN + TITLE_SIZE), TITLE_SIZE).bold());
     let axis = TtiAxis {
@@ -195,9 +195,11 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let class_line_height = if classes.is_some() { LEADING } else { 0.0 };
     let device_height = class_line_height + BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
     let bottom = top + device_height * timeline.devices.len() as f64 - DEVICE_GAP;
-    axis.draw_events(&mut scene, &timeline.events, top, bottom);
     for (i, (id, energy, history)) in timeline.devices.iter().enumerate() {
         let top = top + device_height * i as f64 + class_line_height;
+        // Events stop short of the class line of the next device.
+        let events_bottom = bottom.min(top + device_height - class_line_height);
+        axis.draw_events(&mut scene, &timeline.events, top, events_bottom);
         if let Some(classes) = &classes {
             let class = &scenario.classes[usize::from(classes[id.index()])];
             let text = class_line(&class.name, energy);
@@ -420,10 +422,10 @@ fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
     let unreported = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
     format!(
         "Battery at the end of each TTI and states S1 (idle: sensing), S2 (active), S3 (transmission), S4 (sleep). A \
-         device that reports goes through S2 and S3 within its TTI. {} events, {unreported} of them without a report. \
-         Preset {}, seed {}, K = {}.",
-        timeline.events.len(),
-        scenario.run.preset,
+         device that reports goes through S2 and S3 within its TTI. {}, {unreported} of them without a report. {} \
+         Seed {}, K = {}.",
+        count_noun(timeline.events.len() as u64, "event"),
+        policy_sentence(scenario),
         scenario.run.seed,
         scenario.run.ttis
     )

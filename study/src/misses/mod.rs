@@ -1,8 +1,10 @@
-//! Missed events of one run: by cause, place, nearest device and time, and the change that the main cause suggests.
+//! Missed events of one run: by cause, place, nearest device and time, and the changes that the main cause suggests.
 //! `deploy/src/run_reader.rs` fills [`Misses`] from the files of a run, `reveille inspect misses` prints it, and
 //! [`crate::figures::misses`] draws it. All numbers cover counted events, as the metrics do.
 
 mod advice;
+mod phases;
+mod suggestion;
 #[cfg(test)]
 mod tests;
 
@@ -13,9 +15,14 @@ use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::OperatorAction;
 use reveille_common::totals::MissCause;
 
+use self::advice::{HotSpot, MainCause};
+
 pub use advice::{Advice, RunEnergy};
+pub use phases::{ActionFailure, Phase};
+pub use suggestion::{FieldChange, Suggestion};
 
 /// Name of the cause of events whose table has no causes. A key in `inspect misses --json`, like the names of causes.
 pub const UNKNOWN_CAUSE: &str = "unknown";
@@ -57,6 +64,8 @@ pub struct Misses {
     pub end: Tti,
     /// The energy of a finished run.
     pub energy: Option<RunEnergy>,
+    /// The actions of operators and scripts.
+    pub actions: Vec<OperatorAction>,
 }
 
 /// Numbers of missed events and devices in the square cells of the area. Rows start in the south, cells in the west.
@@ -70,6 +79,8 @@ pub struct MissMap {
     pub missed_counts: Vec<Vec<u64>>,
     /// Numbers of devices, by row and column.
     pub device_counts: Vec<Vec<u64>>,
+    /// Numbers of devices that actions failed, by row and column.
+    pub failed_counts: Vec<Vec<u64>>,
 }
 
 /// The events of a part of the run.
@@ -130,6 +141,7 @@ impl Misses {
             in_warm_up: 0,
             end,
             energy: None,
+            actions: Vec::new(),
         }
     }
 
@@ -171,11 +183,14 @@ impl Misses {
     /// Counts the missed events and the devices in cells of the area.
     pub fn map(&self) -> MissMap {
         let grid = self.grid();
+        let failed = self.action_failures();
+        let failed_positions = failed.keys().filter_map(|device| self.positions.get(device.index()));
         MissMap {
             cell_m: grid.cell_m,
             columns: grid.columns,
             missed_counts: grid.count(self.missed.iter().map(|event| event.epicentre)),
             device_counts: grid.count(self.positions.iter().copied()),
+            failed_counts: grid.count(failed_positions.copied()),
         }
     }
 
@@ -235,34 +250,42 @@ impl Misses {
         let Some(cause) = cause else {
             return Some(Advice {
                 finding: "The table has no causes of missed events.".to_owned(),
-                suggestions: vec!["repeat the run with this version of Reveille".to_owned()],
+                suggestions: vec![Suggestion::without_trials(
+                    "repeat the run with this version of Reveille",
+                )],
             });
         };
-        let place = self.hot_spot(cause);
-        let counts = (count, self.missed.len());
-        Some(advice::advise(&self.scenario, cause, counts, place, self.energy))
+        let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
+        let main_cause = MainCause {
+            cause,
+            count,
+            missed: self.missed.len(),
+            hot_spot: self.hot_spot(cause),
+            farthest_m: of_cause.map(|event| event.distance_m).fold(0.0, f64::max),
+        };
+        Some(advice::advise(&self.scenario, &main_cause, self.energy))
     }
 
-    /// Returns the number and the mean place of the events of `cause`, which must occur, in the cell with most of them.
-    fn hot_spot(&self, cause: MissCause) -> (usize, Point) {
+    /// Returns the cell with most events of `cause`, unless chance explains their number.
+    fn hot_spot(&self, cause: MissCause) -> Option<HotSpot> {
         let grid = self.grid();
         let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
         let places: Vec<Point> = of_cause.map(|event| event.epicentre).collect();
         let counts = grid.count(places.iter().copied());
         let cells = places.iter().map(|place| grid.cell(*place));
         // Of equally full cells the one farthest south-west.
-        let fullest = cells.max_by_key(|cell| (counts[cell.0][cell.1], std::cmp::Reverse(*cell)));
-        let in_fullest: Vec<&Point> = places
-            .iter()
-            .filter(|place| Some(grid.cell(**place)) == fullest)
-            .collect();
-        let mean = |coordinate: fn(&Point) -> f64| {
-            in_fullest.iter().map(|place| coordinate(place)).sum::<f64>() / in_fullest.len() as f64
-        };
-        (
-            in_fullest.len(),
-            Point::new(mean(|place| place.x), mean(|place| place.y)),
-        )
+        let fullest = cells.max_by_key(|cell| (counts[cell.0][cell.1], std::cmp::Reverse(*cell)))?;
+        let in_fullest: Vec<&Point> = places.iter().filter(|place| grid.cell(**place) == fullest).collect();
+        let count = in_fullest.len() as f64;
+        let mean_count = places.len() as f64 / (grid.columns * grid.rows) as f64;
+        // Poisson counts reach the limits somewhere in 256 cells in at most about 2 % of runs with uniform places.
+        let limits = [5.0, 3.0 * mean_count, mean_count + 4.0 * mean_count.sqrt() + 2.0];
+        let mean =
+            |coordinate: fn(&Point) -> f64| in_fullest.iter().map(|place| coordinate(place)).sum::<f64>() / count;
+        limits.into_iter().all(|limit| count >= limit).then(|| HotSpot {
+            count: in_fullest.len(),
+            place: Point::new(mean(|place| place.x), mean(|place| place.y)),
+        })
     }
 }
 

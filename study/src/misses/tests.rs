@@ -4,6 +4,7 @@
 
 use reveille_bs::scenario::{Override, Scenario, declaration, load};
 use reveille_common::event::EventRecord;
+use reveille_common::message::{Change, DeviceRange};
 
 use super::*;
 use crate::figures::run_walk::collect_events;
@@ -117,16 +118,39 @@ fn events_are_counted_once_by_cause_place_device_and_time() {
     }
 }
 
+/// Returns a main cause at a place that lies out of reach.
+fn main_cause(cause: MissCause) -> MainCause {
+    MainCause {
+        cause,
+        count: 3,
+        missed: 7,
+        hot_spot: Some(HotSpot {
+            count: 2,
+            place: Point::new(1.0, 2.0),
+        }),
+        farthest_m: 6.123,
+    }
+}
+
+/// Returns the texts of the suggestions.
+fn texts(advice: &Advice) -> Vec<&str> {
+    advice
+        .suggestions
+        .iter()
+        .map(|suggestion| suggestion.text.as_str())
+        .collect()
+}
+
 #[test]
 fn the_advice_names_fields_of_the_scenario_and_the_place() {
     let known = declaration();
     for policy in ["knn", "adjusted", "q-learning", "random", "age-index", "dt", "genie"] {
         let scenario = quick(&[&format!("policy.name={policy}"), "radio.wake_miss=0.1"]);
         for cause in MissCause::ALL {
-            let advice = advice::advise(&scenario, cause, (3, 7), (2, Point::new(1.0, 2.0)), None);
-            let is_one = |change: &String| !change.contains(" or ") && !change.contains(';');
+            let advice = advice::advise(&scenario, &main_cause(cause), None);
+            let is_one = |change: &str| !change.contains(" or ") && !change.contains(';');
             assert!(
-                !advice.suggestions.is_empty() && advice.suggestions.iter().all(is_one),
+                !advice.suggestions.is_empty() && texts(&advice).into_iter().all(is_one),
                 "{advice:?}"
             );
             let text = advice.to_string().to_lowercase();
@@ -142,7 +166,7 @@ fn the_advice_names_fields_of_the_scenario_and_the_place() {
 }
 
 #[test]
-fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
+fn only_a_cell_with_clearly_more_events_of_the_main_cause_is_named() {
     let mut misses = Misses::new(quick(&[]));
     let event = |x: f64, y: f64, cause| MissedEvent {
         event: 0,
@@ -152,18 +176,43 @@ fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
         nearest: DeviceId(0),
         distance_m: 1.0,
     };
-    misses.missed = vec![
-        event(1.0, 1.0, MissCause::Asleep),
-        event(1.1, 1.1, MissCause::Asleep),
-        event(5.0, 1.0, MissCause::OutOfReach),
-        event(17.0, 19.0, MissCause::OutOfReach),
-        event(17.5, 19.5, MissCause::OutOfReach),
-    ];
-    let text = misses.advice().expect("missed events").finding;
+    let north_east =
+        |count: u32| (0..count).map(move |nth| event(17.0 + 0.1 * f64::from(nth), 19.0, MissCause::OutOfReach));
+    misses.missed = [event(1.0, 1.0, MissCause::Asleep); 4]
+        .into_iter()
+        .chain(north_east(5))
+        .collect();
+    let advice = misses.advice().expect("missed events");
+    let (count, place) = ("5 of 9 missed events were ", ", 5 of them near x = 17.2 m, y = 19.0 m.");
     assert!(
-        text.contains("3 of 5 missed events") && text.contains("x = 17.2 m, y = 19.2 m"),
-        "{text}"
+        advice.finding.starts_with(count) && advice.finding.ends_with(place),
+        "{advice}"
     );
+    assert_eq!(texts(&advice)[0], "place a device there with layout.file");
+    // Four events in a cell can be chance.
+    misses.missed = north_east(4).collect();
+    let advice = misses.advice().expect("missed events");
+    assert!(!advice.finding.contains("near x"), "{advice}");
+    assert_eq!(texts(&advice)[0], "place devices near them with layout.file");
+    // 100 cells have 7 events each, and one of them has more: at least 3 times the mean is named.
+    for (more, is_named) in [(0, false), (13, false), (15, true)] {
+        let cells = (0..700).map(|nth| {
+            event(
+                f64::from(nth % 10) * 2.0 + 1.0,
+                f64::from(nth / 70) * 2.0 + 1.0,
+                MissCause::OutOfReach,
+            )
+        });
+        misses.missed = cells
+            .chain((0..more).map(|_| event(9.0, 9.0, MissCause::OutOfReach)))
+            .collect();
+        let finding = misses.advice().expect("missed events").finding;
+        assert_eq!(
+            finding.contains("near x = 9.0 m, y = 9.0 m"),
+            is_named,
+            "{more}: {finding}"
+        );
+    }
     misses.missed.clear();
     assert_eq!((misses.advice(), misses.causes().len()), (None, 0));
 }
@@ -176,25 +225,35 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
             low_energy_pct,
             overflow_per_device_tti,
         });
-        advice::advise(&scenario, MissCause::Asleep, (3, 7), (2, Point::new(1.0, 2.0)), energy)
+        advice::advise(&scenario, &main_cause(MissCause::Asleep), energy)
     };
     // The limit of low energy is 5 %.
     for energy_metrics in [None, Some((4.9, 0.5))] {
         assert_eq!(
-            advice_with(energy_metrics).suggestions,
-            ["lower policy.age-index.price"]
+            texts(&advice_with(energy_metrics)),
+            [
+                "change policy.age-index.price = 0.35: try 0.175, 0.0875, 0.7, 1.4 (a lower price senses more, a \
+                 higher one saves energy)"
+            ]
         );
     }
     let empty = advice_with(Some((38.8, 0.0)));
     assert!(empty.finding.contains("39 % of device-TTIs"), "{empty}");
-    let fields = empty.suggestions.iter().map(|text| text.split(" = ").next());
+    let fields = texts(&empty).into_iter().map(|text| text.split(" = ").next());
     assert!(
-        fields.eq([Some("raise harvest.lambda"), Some("raise harvest.e_b")]),
+        fields.eq([
+            Some("raise harvest.lambda"),
+            Some("raise harvest.e_b"),
+            Some("change policy.age-index.price")
+        ]),
         "{empty}"
     );
     assert!(empty.to_string().contains(". Raise harvest.lambda = 0.1: "), "{empty}");
     // A larger battery keeps what overflowed.
-    assert_eq!(advice_with(Some((38.8, 0.1))).suggestions[2], "raise energy.e_max");
+    assert_eq!(
+        texts(&advice_with(Some((38.8, 0.1))))[2],
+        "raise energy.e_max = 100: try 200"
+    );
 }
 
 #[test]
@@ -203,9 +262,9 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
         let all: Vec<&str> = [&["policy.name=age-index", "ttis=4000"], set].concat();
         misses_of_run(&quick(&all)).0.missed_pct()
     };
-    let value_of = |suggestion: &str| -> f64 {
-        let (_, rest) = suggestion.split_once(": ").expect("a value");
-        rest.split(' ').next().expect("a number").parse().expect("a number")
+    let values_of = |suggestion: &Suggestion| -> Vec<f64> {
+        let values = suggestion.trials.iter().map(|changes| changes[0].value.parse());
+        values.map(|value| value.expect("a number")).collect()
     };
     // Eq. (5): λτ·exp(-λτ)·E_B units per TTI; a TTI in S1 costs 1, in S4 0.0714. With E_B = 0.3, at most
     // 0.3·exp(-1) = 0.11 pay for sensing under no λ, so only E_B is left.
@@ -215,24 +274,39 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
     ] {
         let present = format!("harvest.e_b={e_b}");
         let starved = quick(&["policy.name=age-index", &present]);
-        let advice = advice::advise(&starved, MissCause::Unpowered, (3, 7), (2, Point::new(1.0, 2.0)), None);
+        let advice = advice::advise(&starved, &main_cause(MissCause::Unpowered), None);
         let can_sleep = e_b != "0.3";
         assert_eq!(
             advice.finding.contains("does not pay for sleeping"),
             !can_sleep,
             "{advice}"
         );
-        let has_policy = advice.suggestions.iter().any(|text| text.contains("policy"));
-        assert_eq!(has_policy, can_sleep, "without sleep no policy helps: {advice}");
+        let policy_text = texts(&advice).into_iter().find(|text| text.contains("policy"));
+        let is_limited = policy_text.map(|text| text.ends_with(" (cannot keep batteries from running down)"));
+        assert_eq!(is_limited, Some(!can_sleep), "{advice}");
         let changes = advice.suggestions.iter().take(fields.len());
         for (field, change) in fields.iter().zip(changes) {
-            assert!(change.starts_with(&format!("raise {field} = ")), "{advice}");
-            let value = value_of(change);
-            let (lambda, e_b) = match *field {
-                "harvest.lambda" => (value, e_b.parse().expect("a number")),
-                _ => (0.1, value),
+            assert!(change.text.starts_with(&format!("raise {field} = ")), "{advice}");
+            let harvest_with = |value: f64| {
+                let (lambda, e_b) = match *field {
+                    "harvest.lambda" => (value, e_b.parse().expect("a number")),
+                    _ => (0.1, value),
+                };
+                lambda * libm::exp(-lambda) * e_b
             };
-            assert!((lambda * libm::exp(-lambda) * e_b - 1.0).abs() < 0.01, "{advice}");
+            // A harvest of 0.3167 lies above twice the cost of sleep, 0.143. The middle is a geometric mean.
+            let expected = if can_sleep {
+                vec![0.563, 1.0]
+            } else {
+                vec![0.143, 0.378, 1.0]
+            };
+            let values = values_of(change);
+            assert_eq!(values.len(), expected.len(), "{advice}");
+            for (value, harvest) in values.iter().zip(expected) {
+                assert!((harvest_with(*value) - harvest).abs() < 0.01 * harvest, "{advice}");
+            }
+            assert!(change.text.contains("on average"), "{advice}");
+            let value = values[values.len() - 1];
             let (before, after) = (
                 missed_pct(&[&present]),
                 missed_pct(&[&present, &format!("{field}={value}")]),
@@ -241,4 +315,163 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
             assert!(after < before / 4.0, "{field}: {before} % before, {after} % after");
         }
     }
+}
+
+#[test]
+fn a_summary_has_one_suggestion_and_the_number_of_the_others() {
+    let suggestions = ["raise a", "lower b", "drop c"].map(Suggestion::without_trials);
+    let summary = |count: usize| {
+        let advice = Advice {
+            finding: "Cause.".to_owned(),
+            suggestions: suggestions[..count].to_vec(),
+        };
+        advice.summary()
+    };
+    assert_eq!(summary(0), "Cause.");
+    assert_eq!(summary(1), "Cause. Raise a.");
+    assert_eq!(summary(3), "Cause. Raise a. 2 more: reveille inspect misses.");
+}
+
+#[test]
+fn values_to_try_are_in_the_text_and_make_a_scenario() {
+    for policy in ["knn", "adjusted", "q-learning", "random", "age-index", "dt", "genie"] {
+        let name = format!("policy.name={policy}");
+        let set = [
+            &name,
+            "radio.wake_miss=0.1",
+            "radio.uplink_loss=0.2",
+            "sensing.kind=probabilistic",
+        ];
+        let scenario = quick(&set);
+        let energy = Some(RunEnergy {
+            low_energy_pct: 1.0,
+            overflow_per_device_tti: 0.1,
+        });
+        for cause in MissCause::ALL {
+            for Suggestion { text, trials } in advice::advise(&scenario, &main_cause(cause), energy).suggestions {
+                for changes in &trials {
+                    let all: Vec<String> = set
+                        .iter()
+                        .map(|text| (*text).to_owned())
+                        .chain(changes.iter().map(FieldChange::to_string))
+                        .collect();
+                    // A later override replaces an earlier one.
+                    let changed = quick(&all.iter().map(String::as_str).collect::<Vec<_>>());
+                    assert_ne!(changed.hash(), scenario.hash(), "{text}: {changes:?}");
+                    for FieldChange { field, value } in changes {
+                        let has_field = text.contains(field.as_str()) || field == "policy.name";
+                        assert!(has_field && text.contains(value.as_str()), "{text}: {field}={value}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_suggested_range_reaches_every_event_that_was_out_of_reach() {
+    let scenario = quick(&["devices=6", "ttis=3000"]);
+    let (misses, _) = misses_of_run(&scenario);
+    assert_eq!(misses.causes()[0].0, Some(MissCause::OutOfReach));
+    let advice = misses.advice().expect("missed events");
+    let range = advice
+        .suggestions
+        .iter()
+        .flat_map(|suggestion| suggestion.trials.concat());
+    let range = range.filter(|change| change.field == "sensing.d_max");
+    let values: Vec<String> = range.map(|change| change.to_string()).collect();
+    assert_eq!(values.len(), 1, "{advice:?}");
+    let changed = quick(&["devices=6", "ttis=3000", &values[0]]);
+    let (after, _) = misses_of_run(&changed);
+    assert!(
+        after
+            .causes()
+            .iter()
+            .all(|(cause, _)| *cause != Some(MissCause::OutOfReach)),
+        "{values:?}: {:?}",
+        after.causes()
+    );
+}
+
+#[test]
+fn fields_of_a_trace_and_of_a_class_have_their_own_paths() {
+    let text = "\n[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"b\"\nshare = 0.5\nharvest.e_b = 0.5\n";
+    let folder = std::path::Path::new(".");
+    let scenario = reveille_bs::scenario::parse(&format!("preset = \"quick\"{text}"), "test", folder, &[]);
+    let scenario = scenario.expect("a scenario").scenario;
+    let advice = advice::advise(&scenario, &main_cause(MissCause::NoEnergy), None);
+    // Class b harvests less.
+    let fields: Vec<&String> = advice
+        .suggestions
+        .iter()
+        .flat_map(|suggestion| &suggestion.trials)
+        .flatten()
+        .map(|change| &change.field)
+        .collect();
+    assert!(fields.iter().any(|field| *field == "class.b.harvest.e_b"), "{fields:?}");
+    assert!(!fields.iter().any(|field| field.starts_with("harvest.")), "{fields:?}");
+}
+
+/// Returns an action on devices from `first` on.
+fn action(tti: u64, change: fn(DeviceRange) -> Change, first: u32, count: u32) -> OperatorAction {
+    let first = DeviceId(first);
+    OperatorAction {
+        tti: Tti(tti),
+        change: change(DeviceRange { first, count }),
+    }
+}
+
+#[test]
+fn phases_and_failures_follow_the_actions() {
+    // 1000 TTIs, of which 100 are the warm-up.
+    let (mut misses, _) = misses_of_run(&quick(&["policy.name=random", "ttis=1000"]));
+    assert!(misses.phases().is_empty() && misses.action_failures().is_empty());
+    misses.actions = vec![
+        action(600, Change::Revive, 1, 1),
+        action(50, Change::Fail, 0, 1),
+        action(300, Change::Fail, 0, 3),
+        action(600, Change::Fail, 3, 1),
+    ];
+    let failures = misses.action_failures();
+    let spans: Vec<(u32, u64, u64, bool)> = failures
+        .iter()
+        .map(|(device, failure)| (device.0, failure.first.0, failure.ttis, failure.is_failed_at_end))
+        .collect();
+    assert_eq!(
+        spans,
+        [
+            (0, 100, 900, true),
+            (1, 300, 300, false),
+            (2, 300, 700, true),
+            (3, 600, 400, true)
+        ]
+    );
+    let phases = misses.phases();
+    let bounds: Vec<(u64, u64, u64)> = phases
+        .iter()
+        .map(|phase| (phase.first.0, phase.end.0, phase.failed_devices))
+        .collect();
+    assert_eq!(bounds, [(100, 300, 1), (300, 600, 3), (600, 1000, 3)]);
+    let missed_sum: u64 = phases.iter().map(|phase| phase.missed).sum();
+    assert_eq!(missed_sum as usize, misses.missed.len());
+    let event_sum: u64 = phases.iter().map(|phase| phase.events).sum();
+    assert_eq!(event_sum as usize, misses.counted_starts.len());
+    assert!(misses.map().failed_counts.iter().flatten().sum::<u64>() == 4);
+    // Many actions have one phase from the first to the last.
+    misses.actions = (0..8)
+        .map(|nth| {
+            action(
+                200 + 100 * nth,
+                if nth % 2 == 0 { Change::Fail } else { Change::Revive },
+                0,
+                5,
+            )
+        })
+        .collect();
+    let bounds: Vec<(u64, u64)> = misses
+        .phases()
+        .iter()
+        .map(|phase| (phase.first.0, phase.end.0))
+        .collect();
+    assert_eq!(bounds, [(100, 200), (200, 900), (900, 1000)]);
 }

@@ -4,8 +4,8 @@
 //! all answers. The order of the draws defines the meaning of a corpus file.
 //!
 //! [`HostRecords`] repeats how `join`, `subscriptions`, `failure_detection` and `run_loop` of the base station call the
-//! records: change both. Not exercised: hosts that are late to become ready, the credentials of messages, and requests
-//! for totals or views. tests/fuzz/README.md shows how to run the target.
+//! records: change both. Not exercised: hosts that ask for a range, hosts that are late to become ready, the
+//! credentials of messages, and requests for totals or views. tests/fuzz/README.md shows how to run the target.
 
 #![no_main]
 
@@ -22,7 +22,7 @@ use reveille_common::codec;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{
-    DeviceCheckpoint, FailedTransmission, HostAnswer, HostCheckpoint, Report, ResumePoint, WakeOutcome,
+    DeviceCheckpoint, FailedTransmission, HostAnswer, HostCheckpoint, Report, ResumePoint, UnableDetectors, WakeOutcome,
 };
 use reveille_common::secret::{HostCredential, Secret};
 use reveille_common::units::Energy;
@@ -215,7 +215,10 @@ impl HostRecords {
                     tti,
                     reports: input.arbitrary()?,
                     failures: if input.arbitrary()? { vec![failure] } else { Vec::new() },
-                    unpowered: input.arbitrary()?,
+                    unable: UnableDetectors {
+                        unpowered: input.arbitrary()?,
+                        failed: input.arbitrary()?,
+                    },
                     totals: None,
                     views: None,
                 };
@@ -257,7 +260,7 @@ impl HostRecords {
                 tti,
                 reports: 0,
                 failures: Vec::new(),
-                unpowered: 0,
+                unable: UnableDetectors::default(),
                 totals: None,
                 views: None,
             };

@@ -20,6 +20,8 @@ pub(super) fn detects(scenario: &Scenario, event: u64, j: usize, d: f64) -> bool
 /// Obstacle to a report of an event that a device in range met, in the order in which a report meets them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Obstacle {
+    /// A device with δ = 1 would have detected the event, but an operator had failed it.
+    FailedDevice,
     /// A device with δ = 1 would have detected the event, but lacked the energy to sense.
     NoPowerToSense,
     /// A device did not receive a wake-up.
@@ -43,6 +45,7 @@ pub(super) fn miss_cause(
         Some(Obstacle::UnpaidReport) => MissCause::NoEnergy,
         Some(Obstacle::MissedWakeUp) => MissCause::WakeMissed,
         Some(Obstacle::NoPowerToSense) => MissCause::Unpowered,
+        Some(Obstacle::FailedDevice) => MissCause::Failed,
         None if is_out_of_reach => MissCause::OutOfReach,
         None if would_detect.is_empty() => MissCause::Removed,
         None if would_detect.contains(&true) => MissCause::Asleep,

@@ -246,12 +246,15 @@ impl<'a> ReferenceWorld<'a> {
                     self.estimates[j].record_report(k, self.devices[j].battery);
                     reporters.push((j, d));
                 }
-            } else if self.devices[j].state == ReferenceState::Unpowered
-                && self.policy.senses(j, k)
-                && self.radio.has_plan(j)
-                && self.detects(j, d)
-            {
-                event.meet(Obstacle::NoPowerToSense);
+                continue;
+            }
+            let obstacle = match self.devices[j].state {
+                ReferenceState::Failed => Obstacle::FailedDevice,
+                ReferenceState::Unpowered => Obstacle::NoPowerToSense,
+                ReferenceState::Idle | ReferenceState::Transmission | ReferenceState::Asleep => continue,
+            };
+            if self.policy.senses(j, k) && self.radio.has_plan(j) && self.detects(j, d) {
+                event.meet(obstacle);
             }
         }
         self.record_silence(k, &reporters);

@@ -5,7 +5,9 @@
 //! - [`pcapng`]: packets for Wireshark, which [`dissector`] teaches to read them.
 //! - [`perfetto`]: a trace of states, batteries and wake-ups, encoded by `protobuf`.
 //! - [`table`]: one row per message, as CSV or Parquet.
+//! - [`device_rows`]: states, batteries and energies of all devices over time, as CSV.
 
+pub mod device_rows;
 pub mod dissector;
 pub mod pcapng;
 pub mod perfetto;

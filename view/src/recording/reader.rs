@@ -10,6 +10,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{McapError, Summary};
 use reveille_common::codec::WIRE_VERSION;
+use reveille_common::digits::count_noun;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 
@@ -44,13 +45,13 @@ pub enum RecordingError {
         wire: String,
     },
     /// The file is truncated: the recording process was killed, or the file was cut.
-    #[error("is truncated after {frames} messages")]
+    #[error("is truncated after {}", count_noun(*frames, "message"))]
     Torn {
         /// Number of messages read before the tear, since the last seek if any.
         frames: u64,
     },
     /// The content was changed.
-    #[error("is damaged after {frames} messages: {cause}")]
+    #[error("is damaged after {}: {cause}", count_noun(*frames, "message"))]
     Damaged {
         /// Number of messages read before the damage, since the last seek if any.
         frames: u64,
@@ -87,6 +88,7 @@ impl<R: Read + Seek> RecordingReader<R> {
     /// # Errors
     /// If the file is not a recording, is of another version, or is torn before its first frame.
     pub fn open(mut source: R) -> Result<Self, RecordingError> {
+        check_magic(&mut source)?;
         let index = read_index(&mut source)?;
         let summary = match &index {
             Some(index) => read_summary(&mut source, index)?,
@@ -360,6 +362,18 @@ fn read_index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, Recordi
         }
     }
     Ok(reader.finish().filter(|index| index.stats.is_some()))
+}
+
+/// Refuses a file that starts differently from MCAP files, even if it is shorter than their magic bytes.
+fn check_magic<R: Read + Seek>(source: &mut R) -> Result<(), RecordingError> {
+    let mut start = Vec::new();
+    source.seek(SeekFrom::Start(0))?;
+    source.take(mcap::MAGIC.len() as u64).read_to_end(&mut start)?;
+    if mcap::MAGIC.starts_with(&start) {
+        Ok(())
+    } else {
+        Err(RecordingError::Foreign("it is not an MCAP file".to_owned()))
+    }
 }
 
 /// Reads the summary of the run through the index.

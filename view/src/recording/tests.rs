@@ -194,6 +194,7 @@ fn a_recording_is_read_from_the_requested_tti() {
 fn an_invalid_recording_is_refused_with_the_reason() {
     let error_of = |bytes: &[u8]| read_recording(bytes).1.expect_err("refused").to_string();
     assert!(error_of(b"").contains("truncated") || error_of(b"").contains("not a recording"));
+    assert!(error_of(b"text").contains("not an MCAP file"));
     assert!(error_of(b"this is a text, and not a short one").contains("not an MCAP file"));
     let empty = mcap::Writer::new(Cursor::new(Vec::new())).and_then(|mut writer| {
         writer.finish()?;

@@ -2,10 +2,12 @@
 //! numbers, so sums do not depend on their order. [`Ages`](super::Ages) documents the methods and their preconditions.
 //! `CertainStaleness` keeps the same ages in less memory and must give the same gains, as its test checks.
 
+use std::array;
+
 use reveille_common::geometry::Point;
 
 use super::cells::{Cells, DISC_SIDE};
-use super::index_table::AgeIndexTable;
+use super::index_table::SATURATION_AGE;
 
 /// Cells that a device covers: the cells with a byte of all ones in the square at `corner`.
 #[derive(Clone, Debug)]
@@ -54,35 +56,40 @@ impl MaskDisc {
     }
 }
 
+/// A cell that this many chosen devices cover stays covered until the choice is cleared, since their number is unknown.
+/// No choice comes near it: each chosen device has a cell that the devices chosen before it leave uncovered.
+const MANY: u8 = u8::MAX;
+
 /// Ages in whole TTIs, at most `MAX_AGE`.
 #[derive(Clone, Debug)]
 pub(super) struct CertainAges {
     stride: usize,
+    /// Number of rows, and of columns, in the area.
+    rows: usize,
+    columns: usize,
     discs: Vec<MaskDisc>,
-    age_worths: AgeIndexTable,
     ages: Vec<u8>,
     /// Worth of each cell; 0 outside the area.
     cell_worths: Vec<u8>,
     /// Worth of each cell, or 0 if a chosen device covers it.
     uncovered_worths: Vec<u8>,
-    /// Number of chosen devices that cover each cell.
-    cover_counts: Vec<u16>,
-    /// Indices of the cells of the area.
-    area_cells: Vec<u32>,
+    /// Number of chosen devices that cover each cell; [`MANY`] stands for that many or more.
+    cover_counts: Vec<u8>,
 }
 
 impl CertainAges {
-    pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64, age_worths: AgeIndexTable) -> Self {
+    pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64) -> Self {
         let zeros = vec![0; cells.len()];
+        let [rows, columns] = cells.rows_and_columns();
         let mut ages = Self {
             stride: cells.stride(),
+            rows,
+            columns,
             discs: positions.iter().map(|&p| MaskDisc::new(cells, p, d_max)).collect(),
-            age_worths,
             ages: zeros.clone(),
             cell_worths: zeros.clone(),
             uncovered_worths: zeros,
             cover_counts: vec![0; cells.len()],
-            area_cells: cells.all().map(|cell| cell as u32).collect(),
         };
         // Before the first TTI every place has age 1, as after a reported event.
         ages.advance(true);
@@ -92,13 +99,12 @@ impl CertainAges {
     /// Returns the gain of the `j`-th device, at most 16 · 16 · 255.
     #[inline]
     pub(super) fn gain(&self, j: usize) -> u32 {
-        let mut sum = 0;
+        // The columns are summed in parallel: a sum of 16 bytes fits 16 bits.
+        let mut column_sums = [0_u16; DISC_SIDE];
         for (uncovered, mask) in self.discs[j].rows(&self.uncovered_worths, self.stride) {
-            for i in 0..DISC_SIDE {
-                sum += u32::from(uncovered[i] & mask[i]);
-            }
+            column_sums = array::from_fn(|i| column_sums[i] + u16::from(uncovered[i] & mask[i]));
         }
-        sum
+        column_sums.into_iter().map(u32::from).sum()
     }
 
     /// Returns the worth that the chosen devices leave uncovered.
@@ -115,11 +121,10 @@ impl CertainAges {
         let disc = &self.discs[j];
         let rows = disc.rows_mut(&mut self.uncovered_worths, self.stride);
         for ((uncovered, mask), (counts, _)) in rows.zip(disc.rows_mut(&mut self.cover_counts, self.stride)) {
-            for i in 0..DISC_SIDE {
-                uncovered[i] &= !mask[i];
-                // A byte of the mask is 0 or 255, so its lowest bit counts one device.
-                counts[i] = counts[i].saturating_add(u16::from(mask[i] & 1));
-            }
+            // Arrays computed as a whole become vector instructions.
+            *uncovered = array::from_fn(|i| uncovered[i] & !mask[i]);
+            // A byte of the mask is 0 or 255, so its lowest bit counts one device.
+            *counts = array::from_fn(|i| counts[i].saturating_add(mask[i] & 1));
         }
     }
 
@@ -129,10 +134,8 @@ impl CertainAges {
         let counts = disc.rows_mut(&mut self.cover_counts, self.stride);
         let worths = disc.rows(&self.cell_worths, self.stride);
         for (((uncovered, mask), (counts, _)), (worths, _)) in rows.zip(counts).zip(worths) {
-            for i in 0..DISC_SIDE {
-                counts[i] -= u16::from(mask[i] & 1);
-                uncovered[i] = if counts[i] == 0 { worths[i] } else { 0 };
-            }
+            *counts = array::from_fn(|i| counts[i] - (u8::from(counts[i] < MANY) & mask[i]));
+            *uncovered = array::from_fn(|i| if counts[i] == 0 { worths[i] } else { 0 });
         }
     }
 
@@ -142,16 +145,26 @@ impl CertainAges {
     }
 
     pub(super) fn advance(&mut self, is_event_reported: bool) {
-        if is_event_reported {
-            self.ages.fill(1);
-        } else {
-            for (age, &count) in self.ages.iter_mut().zip(&self.cover_counts) {
-                *age = if count > 0 { 1 } else { age.saturating_add(1) };
-            }
-        }
         // Cells outside the area keep a worth of 0, so no device is chosen for them.
-        for &cell in &self.area_cells {
-            self.cell_worths[cell as usize] = self.age_worths[usize::from(self.ages[cell as usize])];
+        for start in (0..self.rows).map(|row| row * self.stride) {
+            let row = start..start + self.columns;
+            let ages = &mut self.ages[row.clone()];
+            let worths = &mut self.cell_worths[row.clone()];
+            if is_event_reported {
+                ages.fill(1);
+                worths.fill(1);
+                continue;
+            }
+            let cells = ages.iter_mut().zip(worths).zip(&self.uncovered_worths[row]);
+            for ((age, worth), &uncovered_worth) in cells {
+                // An uncovered place has a worth of at least 1.
+                let is_covered = uncovered_worth == 0;
+                let next_age = age.saturating_add(1);
+                // a(a + 1)/2 is the sum of all whole numbers up to a.
+                let growth = if next_age <= SATURATION_AGE { next_age } else { 0 };
+                *age = if is_covered { 1 } else { next_age };
+                *worth = if is_covered { 1 } else { *worth + growth };
+            }
         }
         self.clear();
     }

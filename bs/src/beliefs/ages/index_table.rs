@@ -7,14 +7,11 @@ use std::f64::consts::PI;
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 /// Largest age that is distinguished, TTIs.
-pub(crate) const MAX_AGE: usize = u8::MAX as usize;
-
-/// Worth of a look at a cell by age, from age 0 to `MAX_AGE`; at most 255, and non-decreasing.
-pub type AgeIndexTable = [u8; MAX_AGE + 1];
+pub(crate) const MAX_AGE: u8 = u8::MAX;
 
 /// Age in TTIs from which on the worth no longer grows: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events
 /// last longer, and places that no device covers affect no choice.
-const SATURATION_AGE: u8 = 22;
+pub(super) const SATURATION_AGE: u8 = 22;
 
 /// Largest worth of a look, where all places have age `SATURATION_AGE` or more, in reaches: the unit of the price θ. A
 /// reach is the worth of one device's places at age 1.
@@ -23,13 +20,8 @@ pub const MAX_WORTH: f64 = worth_at_age(SATURATION_AGE) as f64;
 /// Stands for a price of 0, so that ratios to it are finite.
 pub const MIN_PRICE: f64 = 1e-30;
 
-/// Returns the worth of each age a: a(a + 1)/2. This is Whittle's index of a place if an undetected event costs the
-/// same in each TTI.
-pub fn age_worths() -> AgeIndexTable {
-    std::array::from_fn(|age| worth_at_age(age as u8))
-}
-
-/// Returns the worth of `age`, as in [`age_worths`].
+/// Returns the worth of the age a: a(a + 1)/2, up to `SATURATION_AGE`. This is Whittle's index of a place if an
+/// undetected event costs the same in each TTI.
 #[inline]
 pub(super) const fn worth_at_age(age: u8) -> u8 {
     let age = if age < SATURATION_AGE { age } else { SATURATION_AGE } as u16;
@@ -57,12 +49,8 @@ mod tests {
 
     #[test]
     fn worths_are_triangular_numbers_up_to_the_largest_that_fits_a_byte() {
-        let worths = age_worths();
-        assert_eq!(worths[..5], [0, 1, 3, 6, 10]);
-        assert_eq!(
-            (worths[21], worths[22], worths[23], worths[MAX_AGE]),
-            (231, 253, 253, 253)
-        );
+        assert_eq!([0, 1, 2, 3, 4].map(worth_at_age), [0, 1, 3, 6, 10]);
+        assert_eq!([21, 22, 23, MAX_AGE].map(worth_at_age), [231, 253, 253, 253]);
     }
 
     #[test]

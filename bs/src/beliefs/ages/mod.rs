@@ -31,7 +31,7 @@ use self::cells::Cells;
 use self::certain::CertainAges;
 pub(crate) use self::check::check_cells;
 pub use self::check::check_price;
-pub use self::index_table::{AgeIndexTable, MAX_WORTH, MIN_PRICE, age_worths, effective_area};
+pub use self::index_table::{MAX_WORTH, MIN_PRICE, effective_area};
 use self::probabilistic::ProbabilisticAges;
 
 /// Ages of the cells of an area, and the worth that the devices chosen for the coming TTI leave uncovered.
@@ -50,21 +50,14 @@ enum AgeModel {
 }
 
 impl Ages {
-    /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `age_worths`
-    /// is the table of worths by age.
-    pub fn new(positions: &[Point], area: Area, sensing: &Sensing, age_worths: AgeIndexTable) -> Self {
-        Self::with_loss(0.0, positions, area, sensing, age_worths)
+    /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen.
+    pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+        Self::with_loss(0.0, positions, area, sensing)
     }
 
     /// Creates ages like [`Self::new`], where a detection stays unreported with probability `loss_probability`,
     /// `[0, 1]`.
-    pub(crate) fn with_loss(
-        loss_probability: f64,
-        positions: &[Point],
-        area: Area,
-        sensing: &Sensing,
-        age_worths: AgeIndexTable,
-    ) -> Self {
+    pub(crate) fn with_loss(loss_probability: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let cells = Cells::new(area, sensing.d_max);
         let probabilistic = |detection_probability: &dyn Fn(f64) -> f64| {
             let report_probability = |d: f64| (1.0 - loss_probability) * detection_probability(d);
@@ -73,12 +66,11 @@ impl Ages {
                 positions,
                 sensing.d_max,
                 report_probability,
-                age_worths,
             ))
         };
         let model = match sensing.kind {
             DetectionKind::Range if loss_probability <= 0.0 => {
-                AgeModel::Certain(CertainAges::new(&cells, positions, sensing.d_max, age_worths))
+                AgeModel::Certain(CertainAges::new(&cells, positions, sensing.d_max))
             }
             DetectionKind::Range => probabilistic(&|_| 1.0),
             DetectionKind::Probabilistic => probabilistic(&|d| sensing.p(d)),

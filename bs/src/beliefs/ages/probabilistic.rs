@@ -7,7 +7,7 @@ use std::ops::Range;
 use reveille_common::geometry::Point;
 
 use super::cells::Cells;
-use super::index_table::{AgeIndexTable, MAX_AGE};
+use super::index_table::{MAX_AGE, worth_at_age};
 
 /// Cells of one row in which a device may detect an event. Their entries in `ProbabilisticAges::detections` start
 /// at `begin`.
@@ -20,7 +20,6 @@ struct DetectionSpan {
 /// Mean ages of all cells.
 #[derive(Clone, Debug)]
 pub(super) struct ProbabilisticAges {
-    age_worths: AgeIndexTable,
     /// The spans of device j are `spans[span_starts[j] .. span_starts[j + 1]]`.
     span_starts: Vec<u32>,
     spans: Vec<DetectionSpan>,
@@ -47,13 +46,7 @@ const LOG_CERTAINTY: f64 = 64.0;
 impl ProbabilisticAges {
     /// Creates the ages. `report_probability` is the probability that an event at a distance, at most d_max, is
     /// detected and reported.
-    pub(super) fn new(
-        cells: &Cells,
-        positions: &[Point],
-        d_max: f64,
-        report_probability: impl Fn(f64) -> f64,
-        age_worths: AgeIndexTable,
-    ) -> Self {
+    pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64, report_probability: impl Fn(f64) -> f64) -> Self {
         let (mut span_starts, mut spans, mut detections) = (vec![0], Vec::new(), Vec::new());
         for &position in positions {
             for span in cells.within(position, d_max) {
@@ -71,7 +64,6 @@ impl ProbabilisticAges {
             span_starts.push(spans.len() as u32);
         }
         let mut ages = Self {
-            age_worths,
             span_starts,
             spans,
             detections,
@@ -147,21 +139,21 @@ impl ProbabilisticAges {
             } else {
                 self.ages[cell] * self.miss_probabilities[cell]
             };
-            self.ages[cell] = (unseen_age + 1.0).min(MAX_AGE as f64);
-            self.cell_worths[cell] = self.worth_of(self.ages[cell]);
+            self.ages[cell] = (unseen_age + 1.0).min(f64::from(MAX_AGE));
+            self.cell_worths[cell] = worth_of(self.ages[cell]);
         }
         self.clear();
-    }
-
-    /// Returns the worth of `age`, by linear interpolation between whole ages.
-    fn worth_of(&self, age: f64) -> f64 {
-        // The table must also hold the next age.
-        let below = (age as usize).min(MAX_AGE - 1);
-        let [low, high] = [below, below + 1].map(|age| f64::from(self.age_worths[age]));
-        low + (age - below as f64) * (high - low)
     }
 
     pub(super) fn age(&self, cell: usize) -> f64 {
         self.ages[cell]
     }
+}
+
+/// Returns the worth of `age`, by linear interpolation between whole ages.
+fn worth_of(age: f64) -> f64 {
+    // The next age must be one that exists too.
+    let below = (age as u8).min(MAX_AGE - 1);
+    let [low, high] = [below, below + 1].map(|age| f64::from(worth_at_age(age)));
+    low + (age - f64::from(below)) * (high - low)
 }

@@ -10,7 +10,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 
 use super::Ages;
 use super::cells::{Cells, DISC_SIDE};
-use super::index_table::{self, age_worths};
+use super::index_table;
 
 /// Worth of a look relative to a look right after another, for each device and for the whole area.
 #[derive(Clone, Debug)]
@@ -35,9 +35,9 @@ impl Staleness {
             DetectionKind::Range if loss_probability <= 0.0 => {
                 StalenessModel::Certain(CertainStaleness::new(area, positions, sensing.d_max))
             }
-            DetectionKind::Range | DetectionKind::Probabilistic => StalenessModel::Probabilistic(Box::new(
-                Ages::with_loss(loss_probability, positions, area, sensing, age_worths()),
-            )),
+            DetectionKind::Range | DetectionKind::Probabilistic => {
+                StalenessModel::Probabilistic(Box::new(Ages::with_loss(loss_probability, positions, area, sensing)))
+            }
         };
         let mut staleness = Self {
             model,
@@ -257,7 +257,7 @@ mod tests {
                 let area = Area { width, height };
                 let positions = place_devices(&Layout::Uniform, area, 25, 3);
                 let mut stream = Stream::new(9, Purpose::Epicentre, 0);
-                let mut ages = Ages::with_loss(loss_probability, &positions, area, &sensing, age_worths());
+                let mut ages = Ages::with_loss(loss_probability, &positions, area, &sensing);
                 let mut staleness = Staleness::with_loss(loss_probability, &positions, area, &sensing);
                 let fresh_worths: Vec<f64> = (0..25).map(|j| ages.gain(j)).collect();
                 let fresh_total = ages.total_worth();

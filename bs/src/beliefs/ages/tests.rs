@@ -26,11 +26,6 @@ fn sensing(kind: DetectionKind) -> Sensing {
     }
 }
 
-/// Returns the worth a(a + 1)/2 of each age, at most `WORTH_CAP`.
-fn triangular_worths() -> AgeIndexTable {
-    std::array::from_fn(|age| (age * (age + 1) / 2).min(usize::from(WORTH_CAP)) as u8)
-}
-
 /// Returns the middle of each cell.
 fn cell_middles(ages: &Ages) -> Vec<Point> {
     let cells = &ages.cells;
@@ -61,7 +56,7 @@ fn ages_and_gains_equal_their_definition() {
         for (seed, (width, height)) in (0..).zip(AREAS) {
             let area = Area { width, height };
             let positions = place_devices(&Layout::Uniform, area, DEVICES as u32, 5);
-            let mut ages = Ages::new(&positions, area, &sensing(kind), triangular_worths());
+            let mut ages = Ages::new(&positions, area, &sensing(kind));
             let places = cell_middles(&ages);
             let mut expected_ages = vec![1.0_f64; places.len()];
             let mut stream = Stream::new(seed, Purpose::Epicentre, 0);
@@ -123,11 +118,11 @@ fn an_unseen_place_ages_up_to_the_maximum() {
     };
     let device = Point::new(2.0, 4.0);
     let (seen, unseen) = (Point::new(2.5, 4.5), Point::new(39.0, 1.0));
-    let mut ages = Ages::new(&[device], area, &sensing(DetectionKind::Range), triangular_worths());
+    let mut ages = Ages::new(&[device], area, &sensing(DetectionKind::Range));
     // With certain detection ages are whole numbers, so they are exact.
     let age_at = |ages: &Ages, place: Point| ages.age_at(place).to_bits();
     for k in 1..400_usize {
-        let expected_age = k.min(index_table::MAX_AGE) as f64;
+        let expected_age = k.min(usize::from(index_table::MAX_AGE)) as f64;
         assert_eq!(age_at(&ages, unseen), expected_age.to_bits(), "unseen place, TTI {k}");
         assert_eq!(age_at(&ages, seen), 1.0_f64.to_bits(), "seen place, TTI {k}");
         ages.add(0);
@@ -143,10 +138,8 @@ fn the_gain_covers_exactly_the_area_in_range() {
     for (width, height) in AREAS {
         let area = Area { width, height };
         let positions = place_devices(&Layout::Uniform, area, 12, 9);
-        // Only age 1 is worth 1, so the gain is the number of cells in range.
-        let mut only_age_one = [0; index_table::MAX_AGE + 1];
-        only_age_one[1] = 1;
-        let ages = Ages::new(&positions, area, &sensing(DetectionKind::Range), only_age_one);
+        // At first every age is 1, which has worth 1, so the gain is the number of cells in range.
+        let ages = Ages::new(&positions, area, &sensing(DetectionKind::Range));
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
         for (j, position) in positions.iter().enumerate() {
             let mut draw_place = || Point::new(width * stream.unit(), height * stream.unit());
@@ -171,7 +164,7 @@ fn removing_or_clearing_all_devices_restores_the_gains() {
             height: 20.0,
         };
         let positions = place_devices(&Layout::Uniform, area, DEVICES as u32, 2);
-        let mut ages = Ages::new(&positions, area, &sensing(kind), triangular_worths());
+        let mut ages = Ages::new(&positions, area, &sensing(kind));
         (0..4).for_each(|_| ages.advance(false));
         let initial_gains: Vec<f64> = (0..DEVICES).map(|j| ages.gain(j)).collect();
         // Exactly, since the ages add logarithms of probabilities as whole numbers.

@@ -144,7 +144,6 @@ impl TokenBuilder {
             &positions,
             known.area,
             &known.sensing,
-            ages::age_worths(),
         );
         let buckets = Buckets::new(&positions, known.area, d_max);
         let events_per_cell = known.alpha * ages.cell_surface() / known.area.surface();

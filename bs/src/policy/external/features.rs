@@ -232,3 +232,22 @@ impl DecisionContext<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_of_the_policy_port_lists_the_columns() {
+        let page = include_str!("../../../../docs/policy-port.md");
+        for features in [&DEVICE_FEATURES[..], &GLOBAL_FEATURES] {
+            let rows = (0..).zip(features);
+            let rows = rows.map(|(index, Feature { name, about })| format!("| {index} | `{name}` | {about} |\n"));
+            let table = format!(
+                "| index | column | content |\n|---|---|---|\n{}\n",
+                rows.collect::<String>()
+            );
+            assert!(page.contains(&table), "docs/policy-port.md must contain\n{table}");
+        }
+    }
+}

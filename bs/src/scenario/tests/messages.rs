@@ -216,7 +216,7 @@ fn unknown_fields_are_refused_with_a_suggestion() {
         ),
         (
             "[events]\nalhpa = 0.1",
-            "unknown field `events.alhpa`; did you mean `alpha`?; set in my.toml, line 2; the fields there \
+            "unknown field `events.alhpa`; did you mean `events.alpha`?; set in my.toml, line 2; the fields there \
              are `process`, `alpha`, `duration`, `duration_kind`, `hot-spots`, `aftershocks`, `bursts`",
         ),
     ] {
@@ -238,10 +238,13 @@ fn overrides_are_checked_as_files_are() {
         ),
         (
             "sensing.dmax=5",
-            "unknown field `sensing.dmax`; did you mean `d_max`?; set by --set sensing.dmax=5",
+            "unknown field `sensing.dmax`; did you mean `sensing.d_max`?; set by --set sensing.dmax=5",
         ),
         ("sense.d_max=5", "unknown field `sense`"),
-        ("area={widht=3}", "unknown field `area.widht`; did you mean `width`?"),
+        (
+            "area={widht=3}",
+            "unknown field `area.widht`; did you mean `area.width`?",
+        ),
         (
             "policy.name=nkn",
             &format!(

@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{FailedTransmission, HostAnswer, Report, WakeOutcome};
+use reveille_common::message::{FailedTransmission, HostAnswer, Report, UnableDetectors, WakeOutcome};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
 
@@ -23,8 +23,8 @@ pub struct GrantResult {
     pub reports: Vec<Report>,
     /// The devices that could not transmit.
     pub failures: Vec<FailedTransmission>,
-    /// Number of devices that could not pay for sensing the event.
-    pub unpowered: u64,
+    /// Devices that would have detected the event, but could not sense.
+    pub unable: UnableDetectors,
     /// Sums over all devices, if the grant asked for them.
     pub totals: DeviceTotals,
     /// States and batteries of all devices, in the order of ids, if the grant asked for them.
@@ -37,7 +37,7 @@ struct HostResult {
     /// Number of reports that the host announces; they arrive as separate messages.
     announced_reports: u32,
     failures: Vec<FailedTransmission>,
-    unpowered: u32,
+    unable: UnableDetectors,
     totals: Option<DeviceTotals>,
     views: Vec<DeviceView>,
 }
@@ -299,17 +299,17 @@ impl Barrier {
                     tti: answered_tti,
                     reports,
                     failures,
-                    unpowered,
+                    unable,
                     totals,
                     views,
                 },
             ) => {
-                let is_quiet = reports == 0 && failures.is_empty() && unpowered == 0;
+                let is_quiet = reports == 0 && failures.is_empty() && unable == UnableDetectors::default();
                 // Every field is checked before anything is kept, since a host may send any numbers.
                 let is_possible = roster.position(stated_host) == Some(position)
                     && answered_tti == *tti
                     && (*may_report || is_quiet)
-                    && roster.is_possible_answer(position, reports, &failures, unpowered)
+                    && roster.is_possible_answer(position, reports, &failures, unable)
                     && totals.is_some() == options.wants_totals
                     && views.is_some() == options.wants_views
                     && views
@@ -320,7 +320,7 @@ impl Barrier {
                     let result = HostResult {
                         announced_reports: reports,
                         failures,
-                        unpowered,
+                        unable,
                         totals,
                         views: views.unwrap_or_default(),
                     };
@@ -412,7 +412,7 @@ impl Barrier {
                 for (position, result) in answers.by_host.into_iter().enumerate() {
                     let Some(result) = result else { continue };
                     grant_result.failures.extend(result.failures);
-                    grant_result.unpowered += u64::from(result.unpowered);
+                    grant_result.unable += result.unable;
                     grant_result.totals += result.totals.unwrap_or_default();
                     if options.wants_views {
                         let first = self.roster.assignment(position).first.index();

@@ -11,12 +11,16 @@ use crate::server::admission::Assignment;
 use crate::server::roster::tests::two_host_roster;
 
 fn grant_done(host: u32, tti: u64, reports: u32) -> HostAnswer {
+    grant_done_with(host, tti, reports, UnableDetectors::default())
+}
+
+fn grant_done_with(host: u32, tti: u64, reports: u32, unable: UnableDetectors) -> HostAnswer {
     HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
         reports,
         failures: vec![],
-        unpowered: 0,
+        unable,
         totals: None,
         views: None,
     }
@@ -110,14 +114,33 @@ fn without_an_event_no_report_is_accepted() {
     let mut barrier = waiting_barrier(false);
     assert!(!receive_from_own_host(&mut barrier, report(3, 5)));
     assert!(!barrier.receive_answer(HostId(0), grant_done(0, 5, 1)));
+    for unable in [UnableDetectors::UNPOWERED, UnableDetectors::FAILED] {
+        assert!(!barrier.receive_answer(HostId(0), grant_done_with(0, 5, 0, unable)));
+    }
     assert!(
         !barrier.receive_answer(HostId(0), grant_done(0, 5, 0))
             && barrier.receive_answer(HostId(1), grant_done(1, 5, 0))
     );
     assert_eq!(
         (barrier.take_grant_result().reports.len(), barrier.unexpected_messages()),
-        (0, 2)
+        (0, 4)
     );
+}
+
+#[test]
+fn devices_that_could_not_sense_are_added_over_the_hosts() {
+    let mut barrier = waiting_barrier(true);
+    barrier.receive_answer(HostId(0), grant_done_with(0, 5, 0, UnableDetectors::FAILED));
+    let both = UnableDetectors {
+        unpowered: 2,
+        failed: 3,
+    };
+    assert!(barrier.receive_answer(HostId(1), grant_done_with(1, 5, 0, both)));
+    let expected = UnableDetectors {
+        unpowered: 2,
+        failed: 4,
+    };
+    assert_eq!(barrier.take_grant_result().unable, expected);
 }
 
 #[test]

@@ -110,7 +110,8 @@ enum PeerReply {
     Decision(Decision),
     /// An invalid answer, with the reason.
     Invalid(String),
-    /// No answer.
+    /// No answer. Also within milliseconds: zenoh ends a query without a reply if it knows no route to the process,
+    /// which may have ended, or have connected a moment ago (zenoh issue 2767).
     Timeout,
 }
 

@@ -13,21 +13,22 @@ use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use anyhow::bail;
+use reveille_bs::scenario::compare_scenarios;
 use reveille_common::digits::decimals_for;
+use reveille_common::message::{Change, OperatorAction};
 use reveille_common::score::Metrics;
-use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
-use crate::action_text::{describe_actions, name_actions};
+use crate::action_text::{FAILURE_NOTE, describe_actions, name_actions};
 use crate::cli::CompareArgs;
 use crate::display::{WIDTH, print_stdout, wrap_indented, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
-use crate::results_table::{MAIN_METRICS, format_number};
+use crate::results_table::{MAIN_METRICS, MISDETECTION_METRIC, format_number, is_cause};
 use run::{ComparedRun, Difference};
 
 /// Width of the names of metrics, and of the cell of a run, in columns. With [`MAX_COLUMNS`] cells a line must fit into
 /// [`WIDTH`].
-const NAME_WIDTH: usize = 27;
+const NAME_WIDTH: usize = 28;
 const CELL_WIDTH: usize = 17;
 /// Most runs in a table, run 1 included; more runs make further tables, each with run 1.
 const MAX_COLUMNS: usize = 3;
@@ -155,12 +156,17 @@ fn text_report(
         let shown_others = block * (MAX_COLUMNS - 1);
         text += &format_metrics(args.all_metrics, first, (shown_others + 2, columns));
     }
+    let is_failure = |action: &OperatorAction| matches!(action.change, Change::Fail(_));
+    if runs.iter().any(|run| run.actions().iter().any(is_failure)) {
+        text += FAILURE_NOTE;
+    }
     if runs
         .iter()
         .any(|run| MAIN_METRICS.iter().any(|metric| run.half_width(metric).is_some()))
     {
         // `PARTS` in `run` is the number of parts.
-        text += "±: half-width of the 95 % interval of one run, from ten parts of its measured\n   TTIs\n";
+        text += "±: half-width of the 95 % interval of one run, from ten parts of its measured\n   TTIs; \
+                 none with fewer than ten cases, or if the interval would reach below 0\n";
     }
     text.push('\n');
     for (number, difference) in (2..).zip(differences) {
@@ -175,7 +181,8 @@ fn text_report(
 }
 
 /// Formats the main metrics, or all of them, of the first run and of `others`, which are numbered from `first_number`.
-/// A second line shows the difference from the first run.
+/// A second line shows the difference from the first run. As in the results table of a run, the causes of missed events
+/// follow their share.
 fn format_metrics(shows_all: bool, first: &ComparedRun, (first_number, others): (usize, &[ComparedRun])) -> String {
     let cell = |text: &str| format!("{text:>CELL_WIDTH$}");
     let mut text = format!("\n{:<NAME_WIDTH$}{}", "metric", cell("run 1"));
@@ -183,22 +190,43 @@ fn format_metrics(shows_all: bool, first: &ComparedRun, (first_number, others): 
         text += &cell(&format!("run {number}"));
     }
     text.push('\n');
-    let further_metrics = Metrics::ALL
-        .iter()
-        .map(|metric| metric.name)
-        .filter(|name| shows_all && !MAIN_METRICS.contains(name));
-    for name in MAIN_METRICS.into_iter().chain(further_metrics) {
+    for (indent, name) in shown_metrics(shows_all, || std::iter::once(first).chain(others)) {
         let (mut values, mut changes) = (cell(&value_cell(first, name)), String::new());
         for other in others {
             values += &cell(&value_cell(other, name));
-            changes += &cell(&change_cell(first.metric(name), other.metric(name)));
+            changes += &cell(&change_cell(first, other, name));
         }
-        let _infallible = writeln!(text, "{name:<NAME_WIDTH$}{values}");
+        let label = format!("{indent}{name}");
+        let _infallible = writeln!(text, "{label:<NAME_WIDTH$}{values}");
         if !changes.trim().is_empty() {
             let _infallible = writeln!(text, "{:<NAME_WIDTH$}{}{changes}", "", cell(""));
         }
     }
     text
+}
+
+/// The names of the shown metrics with their indentation. `runs` returns the runs of the table.
+fn shown_metrics<'r, R>(shows_all: bool, runs: impl Fn() -> R) -> Vec<(&'static str, &'static str)>
+where
+    R: Iterator<Item = &'r ComparedRun>,
+{
+    let all_names = || Metrics::ALL.iter().map(|metric| metric.name);
+    let mut shown = Vec::new();
+    for name in MAIN_METRICS {
+        shown.push(("", name));
+        if name == MISDETECTION_METRIC && !shows_all {
+            let causes = all_names().filter(|name| is_cause(name) && runs().any(|run| run.metric(name) > 0.0));
+            shown.extend(causes.map(|cause| ("  ", cause)));
+        }
+    }
+    if shows_all {
+        shown.extend(
+            all_names()
+                .filter(|name| !MAIN_METRICS.contains(name))
+                .map(|name| ("", name)),
+        );
+    }
+    shown
 }
 
 fn value_cell(run: &ComparedRun, metric: &str) -> String {
@@ -210,14 +238,17 @@ fn value_cell(run: &ComparedRun, metric: &str) -> String {
     }
 }
 
-/// Formats a difference and its share of the first value; empty without a difference, or if a value is NaN.
-fn change_cell(first: f64, other: f64) -> String {
+/// Formats the difference of a metric and its share of the first value; empty without a difference, or if a value is
+/// NaN. If a run has few cases, the share is left out, since chance dominates it.
+fn change_cell(first_run: &ComparedRun, other_run: &ComparedRun, metric: &str) -> String {
+    let (first, other) = (first_run.metric(metric), other_run.metric(metric));
     let change = other - first;
     if change.is_nan() || change == 0.0 {
         return String::new();
     }
     let share = 100.0 * change / first.abs();
-    if share.is_finite() && (0.5..1000.0).contains(&share.abs()) {
+    let has_few_cases = first_run.has_few_cases(metric) || other_run.has_few_cases(metric);
+    if !has_few_cases && share.is_finite() && (0.5..1000.0).contains(&share.abs()) {
         format!("{} ({share:+.0} %)", format_signed(change))
     } else {
         format_signed(change)

@@ -29,7 +29,8 @@ impl DifferenceRow<'_> {
         json!({
             "metric": self.metric, "policy": self.policy, "n": self.n, "seeds": comparison.seeds,
             "mean": comparison.compared_mean, "against_mean": comparison.reference_mean,
-            "difference": comparison.difference, "half_width": comparison.half_width, "paired": comparison.is_paired,
+            "difference": comparison.difference, "half_width": comparison.half_width,
+            "share_half_width": comparison.share_half_width, "paired": comparison.is_paired,
         })
     }
 }
@@ -48,10 +49,28 @@ fn format_signed(x: f64, decimals: usize) -> String {
     text[usize::from(is_zero)..].to_owned()
 }
 
+/// Formats the difference as a percentage of the reference mean, with its interval, in parentheses; empty below 0.05 %
+/// and from 1000 % on.
+fn format_share(comparison: &PairedDifference) -> String {
+    let percent = 100.0 * comparison.difference / comparison.reference_mean.abs();
+    if !percent.is_finite() || !(0.05..1000.0).contains(&percent.abs()) {
+        return String::new();
+    }
+    let half_width = 100.0 * comparison.share_half_width;
+    if half_width.is_finite() && half_width > 0.0 {
+        let digits = decimals_for(half_width, 2);
+        format!(" ({percent:+.digits$} ±{half_width:.digits$} %)")
+    } else {
+        format!(" ({percent:+.1} %)")
+    }
+}
+
 /// Formats the differences by one metric; `rows` is not empty.
 fn format_block(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
     let metric = rows[0].metric;
     let unit = Metrics::find(metric).map_or("", |metric| metric.unit);
+    // Of a metric in per cent, the difference is in points, and only the share of the reference in per cent.
+    let points = if unit.starts_with('%') { " points" } else { "" };
     let policy_width = rows
         .iter()
         .map(|row| row.policy.chars().count())
@@ -95,10 +114,11 @@ fn format_block(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
         };
         let _infallible = writeln!(
             text,
-            "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}",
+            "{policy:<policy_width$} {n:>5} {:>5} {:>10} {:>10} {mark} {change}{points}{}",
             comparison.seeds,
             format_number(comparison.compared_mean),
             format_number(comparison.reference_mean),
+            format_share(comparison),
         );
     }
     text
@@ -107,6 +127,25 @@ fn format_block(reference: &str, rows: &[DifferenceRow<'_>]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_share_refers_to_the_size_of_the_reference() {
+        let share = |difference, reference_mean, share_half_width| {
+            format_share(&PairedDifference {
+                seeds: 5,
+                compared_mean: reference_mean + difference,
+                reference_mean,
+                difference,
+                half_width: 0.1,
+                share_half_width,
+                is_paired: true,
+            })
+        };
+        assert_eq!(share(-1.0, 8.0, 0.0123), " (-12.5 ±1.2 %)");
+        assert_eq!(share(1.0, -4.0, f64::NAN), " (+25.0 %)");
+        assert_eq!(share(1.0, 0.0, f64::NAN), "");
+        assert_eq!(share(0.0001, 8.0, 0.1), "");
+    }
 
     #[test]
     fn a_difference_that_rounds_to_zero_has_no_sign() {

@@ -5,12 +5,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use reveille_common::message::{Message, MessageKind, OperatorAction};
+use reveille_common::score::Metrics;
+use reveille_lab::metric_estimate::{MAX_FEW_CASES_OF_ONE_RUN, value_per_case};
 use reveille_lab::stats::ratio_half_width;
 use reveille_view::compare::RunSide;
 use serde_json::Value;
 
 use super::messages;
 use crate::commands::inspect::source::{RecordingFile, open_recording};
+use crate::results_table::is_cause;
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
@@ -137,9 +140,27 @@ impl ComparedRun {
     }
 
     /// Half the width of the 95 % interval of a metric, from the means of ten parts of the measured TTIs; `None` for
-    /// recordings, short runs and metrics without an entry here. The entries repeat the definitions in
-    /// `common/src/score/metrics.rs` for the columns of `windows.csv`.
+    /// recordings, short runs, few cases, metrics without an entry, and intervals that would reach below 0.
     pub(super) fn half_width(&self, metric: &str) -> Option<f64> {
+        let half_width = self.half_width_of_parts(metric)?;
+        let is_difference = Metrics::find(metric).is_some_and(|metric| metric.is_difference);
+        let reaches_below_0 = !is_difference && half_width > self.metric(metric);
+        (!reaches_below_0 && !self.has_few_cases(metric)).then_some(half_width)
+    }
+
+    /// Whether `metric` counts cases per event, such as missed events, and the run has too few for an interval.
+    pub(super) fn has_few_cases(&self, metric: &str) -> bool {
+        let events = self.summary["totals"]["events"]["events"].as_f64().unwrap_or(f64::NAN);
+        let value_per_case = value_per_case(metric).or_else(|| is_cause(metric).then_some(100.0));
+        value_per_case.is_some_and(|per_case| {
+            let cases = (self.metric(metric) * events / per_case).round();
+            cases <= MAX_FEW_CASES_OF_ONE_RUN as f64
+        })
+    }
+
+    /// Computes the half-width, also where it is not shown. The entries repeat the definitions in
+    /// `common/src/score/metrics.rs` for the columns of `windows.csv`.
+    fn half_width_of_parts(&self, metric: &str) -> Option<f64> {
         let alpha = self.summary["start_probability"].as_f64().unwrap_or(f64::NAN);
         let ratio: fn(&Window, f64) -> (f64, f64) = match metric {
             "info_p1" => |w, alpha| (w.information, alpha * w.ttis),

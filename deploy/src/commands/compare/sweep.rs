@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::rows::{DifferenceRow, format_blocks};
 use super::tables::{self, TableDifference};
+use crate::action_text::FAILURE_NOTE;
 use crate::cli::CompareArgs;
 use crate::commands::figure_files::read_named_tables;
 use crate::display::{WIDTH, print_stdout, wrap_text};
@@ -148,22 +149,18 @@ fn text_report(
     conditions: &[(&RunCondition, Vec<DifferenceRow<'_>>)],
     table_differences: &[TableDifference<'_>],
 ) -> String {
-    let mut text = String::new();
+    let mut sections: Vec<String> = table_differences.iter().map(tables::format_difference).collect();
     if !conditions.is_empty() {
         let line = format!("differences from {reference} over the same seeds, with 95 % intervals");
-        text += &(wrap_text(&line, WIDTH) + "\n");
-    }
-    for (condition, rows) in conditions {
-        let label = format!("preset {} · TTIs {}", condition.label(), condition.ttis);
-        let _infallible = writeln!(text, "\n{}", wrap_text(&label, WIDTH));
-        text += &format_blocks(reference, rows);
-    }
-    for (number, difference) in table_differences.iter().enumerate() {
-        if number > 0 || !conditions.is_empty() {
-            text.push('\n');
+        let mut section = wrap_text(&line, WIDTH) + "\n";
+        for (condition, rows) in conditions {
+            let label = format!("preset {} · TTIs {}", condition.label(), condition.ttis);
+            let _infallible = writeln!(section, "\n{}", wrap_text(&label, WIDTH));
+            section += &format_blocks(reference, rows);
         }
-        text += &tables::format_difference(difference);
+        sections.push(section);
     }
+    let mut text = sections.join("\n");
     text.push('\n');
     // The legend of the marks that `format_blocks` writes.
     let has_one_seed = |row: &DifferenceRow<'_>| row.comparison.half_width.is_nan();
@@ -171,6 +168,9 @@ fn text_report(
     let table_rows = table_differences.iter().flat_map(|difference| &difference.rows);
     let mut rows = conditions.iter().flat_map(|(_, rows)| rows).chain(table_rows);
     text += "difference: mean over the seeds; interval: Student's t over the differences by\nseed\n";
+    if table_differences.iter().any(TableDifference::has_failures) {
+        text += FAILURE_NOTE;
+    }
     if rows.clone().any(is_unpaired) {
         text += "~: too few cases for an interval of differences; the intervals of both means\n   are added\n";
     }

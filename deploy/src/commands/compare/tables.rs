@@ -3,12 +3,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use reveille_bs::scenario::compare_scenarios;
 use reveille_common::io::Disk;
 use reveille_lab::table::Table;
 use reveille_study::figures::FigureError;
 use reveille_study::figures::paired::PairedDifference;
 use reveille_study::figures::results::{Results, RunCondition};
-use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
 use super::rows::{DifferenceRow, format_blocks};
@@ -25,6 +25,15 @@ pub(super) struct TableDifference<'r> {
     fields: Option<BTreeMap<String, [String; 2]>>,
     /// Differences of the policies, by metric.
     pub rows: Vec<DifferenceRow<'r>>,
+}
+
+impl TableDifference<'_> {
+    /// Whether actions failed devices in one of the two conditions.
+    pub(super) fn has_failures(&self) -> bool {
+        let scripts = [self.condition, self.reference_condition].map(RunCondition::action_text);
+        has_other_actions(self.condition, self.reference_condition)
+            && scripts.iter().flatten().any(|script| script.contains("fail"))
+    }
 }
 
 /// Returns the results of each table. Conditions of different tables are not merged.

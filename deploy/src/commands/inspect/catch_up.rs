@@ -338,7 +338,7 @@ mod tests {
                         pace: Pace::Max,
                         begun: true,
                         devices: scenario.run.devices,
-                        lost: Vec::new(),
+                        hosts: Vec::new(),
                     };
                     let (mut received, mut catch_up) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
                     catch_up.read_input_log(log_after(joined_at)).expect("a log");

@@ -9,6 +9,7 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 use reveille_common::message::Frame;
 use reveille_lab::io::open_part_file;
+use reveille_view::export::device_rows::{self, DeviceRow, DeviceRows};
 use reveille_view::export::dissector;
 use reveille_view::export::pcapng::PacketWriter;
 use reveille_view::export::perfetto::PerfettoWriter;
@@ -16,7 +17,8 @@ use reveille_view::export::table::{COLUMNS, MessageRow, MessageTableWriter};
 use reveille_view::filter::Filter;
 use reveille_view::recording::RecordingError;
 
-use super::source::{RecordingFile, check_tti_range, open_recording};
+use super::super::default_window;
+use super::source::{RecordingFile, check_tti_range, find_recording, open_recording};
 use crate::cli::{ExportArgs, ExportFormatArg};
 use crate::display::{count_noun, note, print_stdout};
 use crate::exit::ExitReason;
@@ -30,9 +32,10 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
         print_stdout(&format!("{}\n", path.display()))?;
     }
-    let (Some(recording_path), Some(format)) = (&args.file, args.to) else {
+    let (Some(given_path), Some(format)) = (&args.file, args.to) else {
         return Ok(ExitReason::Done.into());
     };
+    let recording_path = &find_recording(given_path)?;
     let out_path = args
         .out
         .clone()
@@ -93,12 +96,7 @@ fn write_format(
             Ok(result)
         }
         ExportFormatArg::Perfetto => {
-            if args.since.is_some() {
-                bail!(
-                    "--since: a trace must start at TTI 0, as device states depend on all earlier messages; leave it \
-                    out"
-                );
-            }
+            check_starts_at_zero(args, "a trace")?;
             let scenario = recording.bundle().load()?;
             let mut trace = PerfettoWriter::begin(out, recording.run(), &scenario, args.battery_every)?;
             let result = for_each_frame(args, recording, |frame| Ok(trace.write(frame)?))?;
@@ -120,7 +118,29 @@ fn write_format(
             rows.finish()?.flush()?;
             Ok(result)
         }
+        ExportFormatArg::Devices => {
+            check_starts_at_zero(args, "a table of devices")?;
+            let scenario = recording.bundle().load()?;
+            let interval = args.every.unwrap_or_else(|| default_window(&scenario));
+            let mut table = csv::Writer::from_writer(out);
+            table.write_record(device_rows::COLUMNS)?;
+            let mut rows = DeviceRows::new(&scenario, interval);
+            let mut write_row = |row: DeviceRow| anyhow::Ok(table.write_record(row.csv_fields())?);
+            let result = for_each_frame(args, recording, |frame| rows.apply(frame, &mut write_row))?;
+            rows.finish(&mut write_row)?;
+            table.flush()?;
+            Ok(result)
+        }
     }
+}
+
+/// Checks that an export whose device states depend on all earlier messages starts at TTI 0.
+fn check_starts_at_zero(args: &ExportArgs, content: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        args.since.is_none(),
+        "--since: {content} must start at TTI 0, as device states depend on all earlier messages; leave it out"
+    );
+    Ok(())
 }
 
 /// Passes the frames of the requested TTIs to `on_frame`, up to a tear.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::anyhow;
-use reveille_common::bus::{Bus, DeclarationGuard};
+use reveille_common::bus::{Bus, DeclarationGuard, Role};
 use reveille_common::ids::Tti;
 use reveille_common::message::{
     ClockCommand, ClockStatus, DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest, Message, MessageKind,
@@ -19,13 +19,15 @@ use tokio::sync::mpsc::Receiver;
 
 use super::catch_up::CatchUp;
 use crate::cli::TargetArgs;
-use crate::display::note;
+use crate::display::{count_noun, note};
 use crate::exit::Interrupted;
 use crate::run_registry;
 use crate::signals::{ForcedExit, SignalMode, Signals};
 
 /// Longest wait for the connection and for each reply.
 const QUERY_TIMEOUT: Duration = Duration::from_secs(5);
+/// Roles of programs that only observe, the preferred one first.
+pub(crate) const OBSERVERS: [Role; 2] = [Role::Observer, Role::Operator];
 /// Batches of frames that can wait in the queue.
 const MAX_QUEUED_BATCHES: usize = 4_096;
 /// Longest wait for each of the last frames of an ended run.
@@ -59,15 +61,13 @@ pub(crate) struct Live {
 }
 
 impl Live {
-    /// Connects to the run that `target` selects.
+    /// Connects to the run that `target` selects, over TLS with the certificate of the first of `roles` that it finds.
     ///
     /// # Errors
     /// If there is no such run, the bus fails, or the handlers of signals cannot be installed.
-    pub(crate) async fn connect(target: &TargetArgs) -> anyhow::Result<Self> {
+    pub(crate) async fn connect(target: &TargetArgs, roles: &[Role]) -> anyhow::Result<Self> {
         let address = run_registry::find(target)?;
-        let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
-            .await?
-            .with_key(address.key);
+        let bus = address.connect(roles, QUERY_TIMEOUT).await?;
         if !bus
             .list_runs(QUERY_TIMEOUT)
             .await?
@@ -251,8 +251,8 @@ impl Live {
                 anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
             if self.dropped_frames > 0 && !has_warned {
-                let (dropped_frames, tti) = (self.dropped_frames, catch_up.replayed_until());
-                note!("{dropped_frames} messages after TTI {tti} were dropped (reader too slow)");
+                let (dropped, tti) = (count_noun(self.dropped_frames, "message"), catch_up.replayed_until());
+                note!("{dropped} after TTI {tti} dropped (reader too slow)");
                 has_warned = true;
             }
         }

@@ -6,9 +6,9 @@ use std::process::ExitCode;
 use anyhow::{anyhow, bail};
 use reveille_view::recording::Recorder;
 
-use super::live::Live;
+use super::live::{Live, OBSERVERS};
 use crate::cli::InspectRecordArgs;
-use crate::display::note;
+use crate::display::{count_noun, note};
 use crate::exit::ExitReason;
 
 /// Records until the run ends or a signal arrives.
@@ -20,7 +20,7 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
             path.display()
         );
     }
-    let mut live = Live::connect(&args.target).await?;
+    let mut live = Live::connect(&args.target, &OBSERVERS).await?;
     let bundle = live.bundle().await?;
     let recording_error = |cause: String| anyhow!("{}: {cause}", path.display());
     let catch_up = live.start_catch_up(&bundle).await?;
@@ -42,16 +42,17 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     follow_result?;
     live.close().await;
     note!(
-        "recorded {} messages in {}, {:.1} MB, in {:.1} s",
-        file_stats.frames,
+        "recorded {} in {}, {:.1} MB, in {:.1} s",
+        count_noun(file_stats.frames, "message"),
         path.display(),
         file_stats.bytes as f64 / 1e6,
         started.elapsed().as_secs_f64()
     );
     if dropped_frames > 0 {
         bail!(
-            "{}: {dropped_frames} messages were dropped (reader too slow); use `up --record`, for which the run waits",
-            path.display()
+            "{}: {} dropped (reader too slow); use `up --record`, for which the run waits",
+            path.display(),
+            count_noun(dropped_frames, "message")
         );
     }
     end_check?;

@@ -14,9 +14,9 @@ use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 use reveille_view::recording::{RecordingReader, ScenarioBundle, is_growing};
 
-use super::live::Live;
+use super::live::{Live, OBSERVERS};
 use crate::cli::TargetArgs;
-use crate::display::note;
+use crate::display::{count_noun, note};
 use crate::exit::InvalidUsage;
 use crate::folder_lock::{FolderStatus, status};
 use crate::input_log::INPUT_LOG_FILE;
@@ -62,7 +62,10 @@ fn repeating_options(folder: &Path) -> String {
 }
 
 /// Returns `path`, or for a folder the only recording in it.
-fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
+///
+/// # Errors
+/// If the folder does not hold exactly one recording.
+pub(super) fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }
@@ -128,7 +131,7 @@ impl FrameSource {
                 path.display().to_string(),
             ));
         }
-        let mut live = Live::connect(target).await?;
+        let mut live = Live::connect(target, &OBSERVERS).await?;
         live.force_exit_after_signal()?;
         Ok(Self::Live(Box::new(live)))
     }
@@ -179,12 +182,13 @@ impl FrameSource {
 
     /// The closing line after `shown` messages.
     pub(crate) fn closing_line(&self, shown: u64) -> String {
+        let shown_messages = count_noun(shown, "message");
         match self {
             Self::Live(live) => {
                 let dropped_frames = live.dropped_frames;
-                format!("{shown} messages shown, {dropped_frames} dropped (reader too slow)")
+                format!("{shown_messages} shown, {dropped_frames} dropped (reader too slow)")
             }
-            Self::Recorded(..) => format!("{shown} messages shown"),
+            Self::Recorded(..) => format!("{shown_messages} shown"),
         }
     }
 

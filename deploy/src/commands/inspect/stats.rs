@@ -62,8 +62,8 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
         && live.dropped_frames > 0
     {
         note!(
-            "{} messages were dropped and not counted (reader too slow)",
-            live.dropped_frames
+            "{} dropped and not counted (reader too slow)",
+            count_noun(live.dropped_frames, "message")
         );
     }
     source.close().await;
@@ -140,8 +140,8 @@ fn text_stats(traffic: &TrafficStats, device_count: u32, by_device: bool) -> Str
         column.set_cell_alignment(CellAlignment::Right);
     }
     let span = traffic.tti_range().map_or_else(
-        || "no messages".to_owned(),
-        |(first, last)| format!("TTIs {first} to {last}, {device_count} devices"),
+        || "no TTIs".to_owned(),
+        |(first, last)| format!("TTIs {first} to {last}, {}", count_noun(device_count, "device")),
     );
     let mut output = vec![format!("{span}\n{table}")];
     if let Some(share) = traffic.control_share() {

@@ -19,7 +19,7 @@ use serde_json::json;
 
 use super::source::{FrameSource, check_tti_range, device_groups};
 use crate::cli::{ColourArg, TailArgs};
-use crate::display::note;
+use crate::display::{count_noun, note};
 use crate::exit::ExitReason;
 use crate::terminal;
 
@@ -45,7 +45,8 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
         let last = device_count.saturating_sub(1);
         anyhow::ensure!(
             device < device_count,
-            "--device {device}: the run has {device_count} devices, 0 to {last}"
+            "--device {device}: the run has {}, 0 to {last}",
+            count_noun(device_count, "device")
         );
         filter.devices = Some(vec![DeviceId(device)]);
     }
@@ -99,8 +100,8 @@ fn cluster_devices(scenario: &Scenario, cluster: u32, allowed: Option<&[DeviceId
     let last_cluster = cluster_of_device.iter().max().copied().unwrap_or(0);
     anyhow::ensure!(
         cluster <= last_cluster,
-        "--cluster {cluster}: the run has {} clusters, 0 to {last_cluster}",
-        last_cluster + 1
+        "--cluster {cluster}: the run has {}, 0 to {last_cluster}",
+        count_noun(last_cluster + 1, "cluster")
     );
     let ids = (0..).map(DeviceId).zip(&cluster_of_device);
     let members = ids

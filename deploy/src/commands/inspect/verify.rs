@@ -46,14 +46,18 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     };
     let ttis_done = reconstruction.ttis_applied();
     let recomputed = reconstruction.finish();
-    let consistency = format!(
-        "{}: {}, TTIs 0 to {}, are consistent",
-        path_text(),
-        count_noun(frame_count, "message"),
-        ttis_done.saturating_sub(1)
-    );
+    let consistency = match ttis_done.checked_sub(1) {
+        None => format!("{}: no TTI in {}", path_text(), count_noun(frame_count, "message")),
+        Some(last) => format!(
+            "{}: {}, TTIs 0 to {last}, are consistent",
+            path_text(),
+            count_noun(frame_count, "message")
+        ),
+    };
     if let Some(error) = torn {
-        print_stdout(&format!("{consistency}\n"))?;
+        if ttis_done > 0 {
+            print_stdout(&format!("{consistency} up to the cut\n"))?;
+        }
         bail!("{}: {error}; the recording has no summary to compare with", path_text());
     }
     let Some(summary) = summary else {

@@ -180,8 +180,8 @@ impl SweepSummary<'_> {
             } else {
                 "has no relative width, as its mean is 0 or only one run defines it".to_owned()
             };
-            let seeds = self.grid.experiment.seeds.count;
-            let line = format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}");
+            let seeds = count_noun(self.grid.experiment.seeds.count, "seed");
+            let line = format!("{label}: --until-ci not reached with {seeds}: the interval of {metric} {width}");
             wrap_text(&line, WIDTH)
         };
         self.wide_intervals().into_iter().map(line).collect()

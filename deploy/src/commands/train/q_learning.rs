@@ -13,7 +13,7 @@ use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoin
 
 use crate::cli::QLearningArgs;
 use crate::commands::resolve_scenario::resolve_with_builtin_policy;
-use crate::display::{self, note};
+use crate::display::{self, count_noun, note};
 use crate::exit::Interrupted;
 use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
@@ -41,9 +41,9 @@ pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     let checkpoint_path = checkpoint_path(&args.out);
     if trainer.resume(&checkpoint_path)? && !args.quiet {
         note!(
-            "resuming the training from the checkpoint {}: {} episodes left",
+            "resuming the training from the checkpoint {}: {} left",
             checkpoint_path.display(),
-            trainer.episodes_left()
+            count_noun(trainer.episodes_left(), "episode")
         );
     }
     let threads = args.episodes.threads()?;

@@ -1,8 +1,7 @@
 // Requests from the page to the program.
 
-const token = location.hash.slice(1);
-// The address of another run on the same port differs only in its token, which alone would not load the page again.
-addEventListener("hashchange", () => location.reload());
+import { token } from "./address.js";
+
 const headers = token ? { "x-reveille-token": token } : {};
 
 async function request(path, method) {

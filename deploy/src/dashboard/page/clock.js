@@ -6,8 +6,9 @@ import { runState, showRunState } from "./run_state.js";
 
 const POLL_INTERVAL = 1000;
 
-// A pace in milliseconds; the clock reports it as "Max" or in microseconds per TTI.
-const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
+// A pace in milliseconds; the clock reports it as "Max" or in microseconds per TTI. "Max" is the empty text, in whose place
+// the field shows `max`.
+const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : "");
 
 // Shows the pace of the clock when it changes: a number typed but not yet set stays in the field.
 let shownPace;
@@ -25,7 +26,7 @@ function showStatus({ status }) {
   const isStopping = status.until < status.ttis;
   showPace(milliseconds(status.pace));
   byId("pause").textContent = status.paused || isStopping ? "Resume" : "Pause";
-  const hosts = status.lost.map(({ host, first, last }) => `host ${host} with devices ${first} to ${last}`);
+  const hosts = status.hosts.filter(({ lost }) => lost).map(({ host, name, first, last }) => `host ${host} (devices ${first} to ${last}, ${name})`);
   const notes = [hosts.length ? `waiting for ${hosts.join(", ")}` : "", isStopping && !status.paused ? `to stop before TTI ${status.until}` : ""];
   byId("clock-note").textContent = notes.filter(Boolean).join("; ");
   showRunState();

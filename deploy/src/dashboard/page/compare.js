@@ -1,30 +1,30 @@
 // The comparison with another run: the fields that differ and the first difference of each kind of message.
 
 import { get } from "./api.js";
-import { byId, element, page } from "./page_state.js";
+import { byId, element, page, plural } from "./page_state.js";
+import { describeRun } from "./run_state.js";
 
 let listed = "";
 
 export async function startCompare() {
-  const { other } = await get("api/compare"), { run } = page;
-  page.other = { run: other, moment: null, points: [] };
+  const { other, other_events: events, other_missed: missed } = await get("api/compare"), { run } = page;
+  page.other = { run: other, moment: null, points: [], events, missed };
   byId("other-figure").hidden = byId("compare").hidden = byId("this-caption").hidden = byId("curve-runs").hidden = false;
   document.querySelector("main").classList.add("comparing");
   // These panels show one run only.
   for (const title of ["events-title", "timeline-title", "traffic-title"]) byId(title).textContent += " of this run";
-  const name = (run, text) => `${text}: ${run.run} (${run.policy}, seed ${run.seed})`;
-  byId("this-name").textContent = name(run, "this run");
-  byId("other-name").textContent = name(other, "other run");
-  byId("compare-this").textContent = name(run, "this run");
-  byId("compare-other").textContent = name(other, "other run");
+  byId("this-name").textContent = byId("compare-this").textContent = `this run: ${describeRun(run)}`;
+  byId("other-name").textContent = byId("compare-other").textContent = `other run: ${describeRun(other)}`;
 }
 
 export async function showCompare(onChooseTti) {
-  const found = await get("api/compare"), text = JSON.stringify([found.fields, found.differences, found.compared]);
+  const found = await get("api/compare");
+  Object.assign(page.other, { events: found.other_events, missed: found.other_missed });
+  const text = JSON.stringify([found.fields, found.differences, found.compared]);
   if (text === listed) return;
   listed = text;
   byId("fields").textContent = found.fields.map(([name, own, other]) => `${name}: ${own}, other ${other}`).join(" · ");
-  const count = (devices) => (devices.length ? `, of ${devices.length} devices` : "");
+  const count = (devices) => (devices.length ? `, of ${plural(devices.length, "device")}` : "");
   byId("differences").replaceChildren(...found.differences.map((difference, nth) => element("li", {},
     element("button", { textContent: `TTI ${difference.tti}`, onclick: () => onChooseTti(difference.tti) }),
     ` ${nth ? "then" : "first difference"}: ${difference.kind}${count(difference.devices)}`,

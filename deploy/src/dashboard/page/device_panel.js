@@ -5,11 +5,10 @@ import { significant, ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
 import { showActions } from "./device_actions.js";
 import { byId, element, page } from "./page_state.js";
+import { STATES, STATE_OF_CODE, nameOfCode, stateEntry } from "./states.js";
 import { ink } from "./theme.js";
 
 const TTIS_BEFORE = 300, TTIS_AFTER = 100;
-const STATE_COLOURS = { 1: "--accent", 2: "--event", 3: "--event", 4: "--asleep", 0: "--unpowered", x: "--out" };
-const STATE_NAMES = { 1: "S1 senses", 2: "S2 active", 3: "S3 reports", 4: "S4 sleeps", 0: "S4, unpowered", x: "failed by an operator" };
 
 let chart, requested = 0;
 
@@ -17,7 +16,7 @@ let chart, requested = 0;
 function paintStates(draw, history, bottom) {
   history.states.split("").forEach((state, nth) => {
     const x = Math.round(chart.x(history.from + nth)), height = { 0: 5, x: 3 }[state] ?? 10;
-    draw.fillStyle = ink(STATE_COLOURS[state]);
+    draw.fillStyle = ink(STATES[STATE_OF_CODE[state]].colour);
     draw.fillRect(x, bottom - height, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), height);
   });
 }
@@ -39,21 +38,19 @@ export async function showDevice() {
   const history = await get(`api/device/${device}?from=${from}&end=${end}&at=${tti}`);
   if (own !== requested) return;
   const cluster = run.groups ? ` · cluster ${run.groups[device]}` : "", deviceClass = run.classes.length > 1 ? ` · class ${run.classes[run.device_classes[device]]}` : "";
+  // Only a live run has hosts.
+  const host = page.clock?.hosts.find(({ first, last }) => first <= device && device <= last);
   byId("one-title").textContent = `Device ${device}`;
-  byId("one-facts").textContent = `${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m`;
-  byId("chosen-facts").textContent = `Device ${device}: ${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass}`;
+  byId("one-facts").textContent = `${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m${host ? ` · host ${host.host}, ${host.name}` : ""}`;
+  byId("chosen-facts").textContent = `Device ${device}: ${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass}`;
   byId("show-one").onclick = () => byId("one").scrollIntoView();
   if (run.controls) showActions(now.states[device]);
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });
   chart.history = history;
-  const seen = Object.keys(STATE_NAMES).filter((state) => history.states.includes(state));
-  byId("state-legend").replaceChildren(...seen.map((state) => {
-    const box = element("i", { className: "box" });
-    box.dataset.colour = STATE_COLOURS[state].slice(2);
-    return element("span", {}, box, STATE_NAMES[state]);
-  }));
+  const seen = Object.keys(STATE_OF_CODE).filter((code) => history.states.includes(code));
+  byId("state-legend").replaceChildren(...seen.map((code) => stateEntry(STATE_OF_CODE[code], nameOfCode(code))));
   chart.most = run.e_max[device] * 1.04;
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   if (!history.totals) return;

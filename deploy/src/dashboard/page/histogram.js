@@ -3,10 +3,15 @@
 import { shortNumber, ticks } from "./axis.js";
 import { addExport } from "./export.js";
 import { element, page, plural } from "./page_state.js";
+import { STATES, STATE_OF_CODE, colourBox, nameOfCode, stateEntry } from "./states.js";
 import { batteryShare, ink, prepareCanvas } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
 const BINS = 20;
+// The states in a bar, from the bottom to the top.
+const PARTS = ["out", "unpowered", "sensing", "reporting", "asleep"];
+// A report has no reason here.
+const nameOf = (state) => (state === "reporting" ? nameOfCode(3) : STATES[state].name);
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
 
 export class Histogram {
@@ -42,11 +47,13 @@ export class Histogram {
     this.paint();
   }
 
-  // Numbers of devices in equal steps up to the largest E_max, for this run and the compared one.
+  // Numbers of devices in equal steps up to the largest E_max, for each state.
   count(moment) {
-    const bins = new Array(BINS).fill(0);
-    for (let device = 0; device < moment.states.length; device += 1) bins[Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * BINS))] += 1;
-    return bins;
+    const counts = Object.fromEntries(PARTS.map((state) => [state, new Array(BINS).fill(0)]));
+    for (let device = 0; device < moment.states.length; device += 1) {
+      counts[STATE_OF_CODE[moment.states[device]]][Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * BINS))] += 1;
+    }
+    return counts;
   }
 
   paint() {
@@ -55,8 +62,9 @@ export class Histogram {
     const { draw, width, height } = prepareCanvas(this.canvas);
     if (width < 60) return;
     const most = Math.max(...page.run.e_max), bottom = height - MARGIN.bottom, inner = width - MARGIN.left - MARGIN.right;
-    this.bins = this.count(page.moment);
-    this.otherBins = page.other?.moment ? this.count(page.other.moment) : null;
+    this.counts = this.count(page.moment);
+    this.bins = sumBins(this.counts);
+    this.otherBins = page.other?.moment ? sumBins(this.count(page.other.moment)) : null;
     const tallest = Math.max(...this.bins, ...(this.otherBins ?? [])) * 1.06 || 1;
     const x = (bin) => MARGIN.left + (bin / BINS) * inner, y = (count) => bottom - (count / tallest) * (bottom - MARGIN.top);
     draw.font = "11px system-ui, sans-serif";
@@ -71,11 +79,16 @@ export class Histogram {
       draw.fillStyle = ink("--faint");
       draw.fillText(shortNumber(count), MARGIN.left - 6, y(count));
     }
-    this.bins.forEach((count, bin) => {
-      draw.fillStyle = ink("--accent");
+    for (let bin = 0; bin < BINS; bin += 1) {
       draw.globalAlpha = this.bin === null || this.bin === bin ? 1 : 0.45;
-      draw.fillRect(x(bin) + 1, y(count), inner / BINS - 2, bottom - y(count));
-    });
+      let below = 0;
+      for (const state of PARTS) {
+        const above = below + this.counts[state][bin];
+        draw.fillStyle = ink(STATES[state].colour);
+        draw.fillRect(x(bin) + 1, y(above), inner / BINS - 2, y(below) - y(above));
+        below = above;
+      }
+    }
     draw.globalAlpha = 1;
     draw.strokeStyle = ink("--other");
     draw.lineWidth = 2;
@@ -94,9 +107,17 @@ export class Histogram {
   }
 
   paintReadout(x, most) {
-    const empty = [...page.moment.states].filter((state) => state === "0").length;
-    const text = `${plural(empty, "device")} unpowered`;
-    if (this.legend.textContent !== text) this.legend.textContent = text;
+    const totals = PARTS.map((state) => [state, this.counts[state].reduce((sum, count) => sum + count, 0)]).filter(([, total]) => total);
+    const text = totals.map(([state, total]) => `${nameOf(state)}: ${total}`).join(", ");
+    const key = `${text} ${Boolean(this.otherBins)}`;
+    if (this.legendKey !== key) {
+      this.legendKey = key;
+      this.legend.replaceChildren(...totals.map(([state, total]) => {
+        const entry = stateEntry(state, `${nameOf(state)} `);
+        entry.append(element("b", { textContent: total }));
+        return entry;
+      }), ...(this.otherBins ? [element("span", {}, colourBox("--other", "flat"), "other run, all states")] : []));
+    }
     this.canvas.setAttribute("aria-label", `Devices by battery level: ${this.bins.join(", ")} in ${BINS} steps up to ${most} units; ${text}`);
     this.readout.hidden = this.bin === null;
     if (this.bin === null) return;
@@ -109,7 +130,10 @@ export class Histogram {
   }
 
   rows() {
-    const most = Math.max(...page.run.e_max);
-    return [["from units", "to units", "devices"], ...this.bins.map((count, bin) => [(bin / BINS) * most, ((bin + 1) / BINS) * most, count])];
+    const most = Math.max(...page.run.e_max), states = PARTS.map(nameOf);
+    return [["from units", "to units", "devices", ...states], ...this.bins.map((count, bin) =>
+      [(bin / BINS) * most, ((bin + 1) / BINS) * most, count, ...PARTS.map((state) => this.counts[state][bin])])];
   }
 }
+
+const sumBins = (counts) => Array.from({ length: BINS }, (_, bin) => PARTS.reduce((sum, state) => sum + counts[state][bin], 0));

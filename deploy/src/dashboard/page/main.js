@@ -1,5 +1,6 @@
 // The page: starts its parts, and passes updates and choices on to them.
 
+import { followAddress, linked, noteAddress } from "./address.js";
 import { followRun, get } from "./api.js";
 import { Charts } from "./charts.js";
 import { command, pauseOrResume, startClock } from "./clock.js";
@@ -11,8 +12,8 @@ import { Histogram } from "./histogram.js";
 import { startKeys } from "./keys.js";
 import { MapPanel } from "./map_panel.js";
 import { showMessages, startMessages } from "./messages.js";
-import { byId, element, page } from "./page_state.js";
-import { showProblem, showRunState } from "./run_state.js";
+import { byId, element, page, showNote } from "./page_state.js";
+import { showAbout, showProblem, showRunState } from "./run_state.js";
 import { refreshTheme } from "./theme.js";
 import { TimelinePanel } from "./timeline_panel.js";
 
@@ -32,7 +33,9 @@ function paint() {
   histogram.paint();
   charts.moveRule();
   timelinePanel.refresh();
+  showLastEvents(chooseTti);
   showRunState();
+  noteAddress();
   byId("scrubber").value = page.tti;
   byId("scrubber").setAttribute("aria-valuetext", `TTI ${page.tti}`);
   if (document.activeElement !== byId("tti")) byId("tti").value = page.tti;
@@ -62,7 +65,7 @@ async function show(tti) {
 }
 
 function chooseTti(tti) {
-  byId("miss-note").textContent = "";
+  showNote("");
   page.follows = false;
   return report(show(tti));
 }
@@ -73,12 +76,21 @@ function chooseDevice(device) {
   report(showDevice());
 }
 
+// Shows the TTI and the device of an address.
+async function showAddress({ tti, device }) {
+  chooseDevice(device === null ? -1 : Math.min(device, page.run.devices - 1));
+  const { first, next } = page.now;
+  if (tti === null) return page.run.live ? follow() : chooseTti(first);
+  await chooseTti(tti);
+  if (tti < first) showNote(`TTI ${tti} is not in memory any more`);
+  if (tti >= next) showNote(`the run has not reached TTI ${tti}`);
+}
+
 function receive(now) {
   page.now = now;
   page.updates += 1;
   byId("scrubber").min = now.first;
   byId("scrubber").max = Math.max(now.next - 1, now.first);
-  showLastEvents(chooseTti);
   showProblem(now.broken ?? "");
   if (page.follows && now.next > now.first) {
     page.tti = now.next - 1;
@@ -110,7 +122,7 @@ function receiveOther() {
 }
 
 function follow() {
-  byId("miss-note").textContent = "";
+  showNote("");
   page.follows = true;
   timelinePanel.change((view) => { view.follows = true; });
   receive(page.now);
@@ -139,6 +151,10 @@ function listen() {
   byId("follow").hidden = byId("timeline-follow").hidden = !page.run.live;
   byId("follow").onclick = follow;
   byId("bookmark").onclick = bookmark;
+  // On a phone, these buttons show the rest of the controls.
+  for (const button of document.querySelectorAll(".more")) {
+    button.onclick = () => button.setAttribute("aria-expanded", byId(button.getAttribute("aria-controls")).classList.toggle("open"));
+  }
   byId("next-miss").onclick = () => report(showMiss(true, chooseTti));
   byId("previous-miss").onclick = () => report(showMiss(false, chooseTti));
   byId("device").max = page.run.devices - 1;
@@ -182,27 +198,14 @@ async function refreshMessages() {
   if (!page.now.over) setTimeout(refreshMessages, 400);
 }
 
-function showAbout() {
-  const { run, policy, devices, seed, preset, path } = page.run;
-  document.title = `${run} · Reveille`;
-  byId("run").textContent = run;
-  byId("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
-  if (!path) return;
-  byId("folder").hidden = false;
-  // The mark keeps the leading slash in place: a long path is cut at its start, in a right-to-left box.
-  byId("path").textContent = `\u200e${path}`;
-  byId("path").title = path;
-  byId("copy-path").onclick = () => navigator.clipboard.writeText(path).then(() => { byId("copy-path").textContent = "Copied"; }, () => getSelection().selectAllChildren(byId("path")));
-}
-
 async function begin() {
   page.run = await get("api/run");
   page.onChooseTti = chooseTti;
   page.onPause = refreshOften;
   page.now = await get("api/now");
   page.moment = page.now;
-  showAbout();
   if (page.run.compared) await startCompare();
+  showAbout();
   mapPanel = new MapPanel(chooseDevice);
   charts = new Charts(byId("charts"), chooseTti);
   histogram = new Histogram(byId("charts"));
@@ -210,13 +213,14 @@ async function begin() {
   startEvents();
   startMessages(report);
   listen();
-  page.follows = page.run.live;
+  page.follows = page.run.live && linked.tti === null;
   if (page.run.controls) {
     startActions();
     report(startClock());
   }
   receive(page.now);
-  await show(page.run.live ? page.now.next - 1 : page.now.first);
+  followAddress(showAddress);
+  await showAddress(linked);
   refreshOften();
   refreshMessages();
   if (page.run.live) followRun(receiveLive, (error) => {

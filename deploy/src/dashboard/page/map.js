@@ -53,8 +53,8 @@ export class DeviceMap {
     this.paintBelief(moment.belief ?? []);
     if (moment.event) this.paintRange(moment, this.perMetre(width, height) * this.run.d_max);
     const size = Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
-    if (layer === "cluster" && this.run.groups) this.ground.paintClusterNumbers(draw, width, height);
     draw.drawImage(this.devices.canvas(moment, width, height, size), 0, 0, width, height);
+    if (layer === "cluster" && this.run.groups) this.ground.paintClusterNumbers(draw, width, height, size);
     if (chosen >= 0) this.paintChosen(chosen, size);
     if (moment.event) this.paintEpicentre(moment.event.epicentre);
   }

@@ -65,8 +65,8 @@ export class MapGround {
     return centres;
   }
 
-  // Numbers of many clusters would cover each other and the devices.
-  paintClusterNumbers(draw, width, height) {
+  // Numbers of many clusters would cover each other and the devices. A number stays above a device of this size.
+  paintClusterNumbers(draw, width, height, size) {
     this.centres ??= this.findCentres();
     const { centres } = this;
     if (width / Math.sqrt(centres.size) < 60) return;
@@ -74,8 +74,12 @@ export class MapGround {
     draw.textAlign = "center";
     draw.textBaseline = "middle";
     for (const [group, { x, y, count }] of centres) {
-      const at = this.map.place({ x: x / count, y: y / count }, width, height);
-      draw.lineWidth = 3;
+      const at = this.map.place({ x: x / count, y: y / count }, width, height), gap = 1.7 * size + 8;
+      const isOnDevice = this.map.devices.places.some(([px, py]) => Math.hypot(px - at[0], py - at[1]) < gap);
+      if (isOnDevice) at[1] += at[1] > 2 * gap ? -gap : gap;
+      // The outline keeps the number readable on other devices.
+      draw.lineWidth = 4;
+      draw.lineJoin = "round";
       draw.strokeStyle = ink("--field");
       draw.strokeText(group, ...at);
       draw.fillStyle = ink("--ink");

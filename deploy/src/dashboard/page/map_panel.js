@@ -5,8 +5,9 @@ import { significant } from "./axis.js";
 import { addExport } from "./export.js";
 import { groupHue } from "./map_ground.js";
 import { DeviceMap } from "./map.js";
-import { SYMBOLS, drawSymbol, symbolsOf } from "./map_symbols.js";
+import { drawSymbol, symbolsOf } from "./map_symbols.js";
 import { byId, element, page, setText } from "./page_state.js";
+import { STATES } from "./states.js";
 import { batteryGradient, batteryShare, hiddenCanvas, ink } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
@@ -24,7 +25,7 @@ export function describeMoment(moment) {
   if (moment.lost?.length) parts.push(`report lost: ${nameDevices(moment.lost)}`);
   if (moment.failed?.length) parts.push(`lacked energy to report: ${nameDevices(moment.failed)}`);
   for (const { device, text } of moment.woken ?? []) parts.push(`${device} woken, ${text}`);
-  if (moment.ended) parts.push(moment.ended.delay === null ? "event missed" : `event ended, delay ${moment.ended.delay}, I ${significant(moment.ended.information)}`);
+  if (moment.ended) parts.push(moment.ended.delay === null ? `event missed: ${moment.ended.cause}` : `event ended, delay ${moment.ended.delay}, I ${significant(moment.ended.information)}`);
   return parts.join(" · ");
 }
 
@@ -85,7 +86,7 @@ export class MapPanel {
     gradient.style.background = batteryGradient();
     const entries = [
       element("span", {}, "battery empty ", gradient, " full"),
-      ...Object.entries(SYMBOLS).map(([symbol, text]) => entry(symbolPicture(symbol), text)),
+      ...Object.entries(STATES).map(([state, { name }]) => entry(symbolPicture(state), name)),
       entry(mark("✶", "--event"), "event, with d_max around it"),
     ];
     if (this.hasBelief) entries.push(entry(mark("●", "--belief"), "the base station's belief about the event's place"));

@@ -1,23 +1,16 @@
 // The symbols of devices on the map and in its legend.
 
+import { STATES, STATE_OF_CODE } from "./states.js";
 import { ink } from "./theme.js";
 
-// The activity of a device in a TTI. Reports differ by the reason why the device was active.
-export const SYMBOLS = {
-  sensing: "senses (S1)",
-  reporting: "reports after sensing (S3)",
-  woken: "reports after a wake-up (S3)",
-  failed: "lacked energy, or report lost",
-  asleep: "sleeps (S4)",
-  unpowered: "unpowered (S4)",
-  out: "failed by an operator",
-};
-
-// The symbol of each device in a moment.
+// The state of each device in a moment, as a key of `STATES`. Reports differ by the reason why the device was active.
 export function symbolsOf(moment) {
-  const symbols = [...moment.states].map((state) => ({ 0: "unpowered", 1: "sensing", 2: "reporting", 3: "reporting", 4: "asleep", x: "out" })[state]);
+  const symbols = [...moment.states].map((code) => STATE_OF_CODE[code]);
   for (const device of [...(moment.failed ?? []), ...(moment.lost ?? [])]) symbols[device] = "failed";
-  for (const { device, outcome } of moment.woken ?? []) symbols[device] = outcome.Reported ? "woken" : "failed";
+  for (const { device, outcome } of moment.woken ?? []) {
+    if (outcome.Reported) symbols[device] = "woken";
+    else if (outcome.Failed || outcome.Lost) symbols[device] = "failed";
+  }
   return symbols;
 }
 
@@ -27,6 +20,8 @@ function path(draw, points, x, y, size) {
   draw.closePath();
 }
 
+// Symbols with an outline in the colour of their state; others have a cross in it, or none.
+const OUTLINED = ["sensing", "reporting", "woken"];
 const TRIANGLE = [[0, -1.6], [1.45, 1], [-1.45, 1]];
 const DIAMOND = [[0, -1.7], [1.7, 0], [0, 1.7], [-1.7, 0]];
 
@@ -45,9 +40,8 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
     draw.beginPath();
     draw.rect(x - 0.75 * size, y - 0.75 * size, 1.5 * size, 1.5 * size);
   }
-  const outline = { sensing: "--accent", reporting: "--event", woken: "--woken" }[symbol];
-  if (outline) {
-    draw.strokeStyle = ink(outline);
+  if (OUTLINED.includes(symbol)) {
+    draw.strokeStyle = ink(STATES[symbol].colour);
     draw.lineWidth = size < 3 ? 1.5 : 2.5;
   }
   draw.fill();
@@ -65,7 +59,7 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
     draw.moveTo(x - size, y - turn * size);
     draw.lineTo(x + size, y + turn * size);
   }
-  draw.strokeStyle = ink({ failed: "--event", unpowered: "--unpowered", out: "--out" }[symbol]);
+  draw.strokeStyle = ink(STATES[symbol].colour);
   draw.lineWidth = symbol === "unpowered" ? 1.5 : 2.5;
   draw.stroke();
 }

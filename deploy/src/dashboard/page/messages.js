@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { addExport } from "./export.js";
-import { byId, element, page } from "./page_state.js";
+import { byId, element, page, setText } from "./page_state.js";
 
 // TTIs before the shown one whose messages are listed too: the grant of a quiet TTI can be that old.
 const TTIS_BEFORE = 20;
@@ -14,6 +14,7 @@ export async function showMessages() {
   const form = byId("filters"), query = new URLSearchParams();
   for (const name of ["plane", "kind", "device", "cluster", "state"]) if (form[name].value) query.set(name, form[name].value);
   if (!form.emulation.checked) query.set("hide_emu", "true");
+  if (!form.quiet.checked) query.set("hide_quiet", "true");
   const isHere = form.here.checked;
   const since = isHere ? Math.max(page.tti - TTIS_BEFORE, 0) : form.since.value, until = isHere ? page.tti : form.until.value;
   if (since !== "") query.set("since", since);
@@ -26,7 +27,7 @@ export async function showMessages() {
   if (!found || own !== requested) return;
   // The shown TTI comes first; within a TTI, the order of the messages stays.
   rows = isHere ? found.sort((a, b) => b.tti - a.tti || a.id - b.id) : found;
-  byId("refused").textContent = rows.length ? "" : "no messages match";
+  setText(byId("refused"), rows.length ? "" : isHere ? `no such message in TTIs ${since} to ${until}` : "no messages match");
   // A run that is followed has moved on meanwhile: its latest messages count as shown.
   const shown = page.follows && rows.length ? rows[0].tti : page.tti;
   const lines = rows.map((row) => {
@@ -56,7 +57,7 @@ export function startMessages(report) {
     event.preventDefault();
     report(showMessages());
   };
-  form.emulation.onchange = form.here.onchange = form.plane.onchange = () => form.requestSubmit();
+  form.emulation.onchange = form.quiet.onchange = form.here.onchange = form.plane.onchange = () => form.requestSubmit();
   form.cluster.closest("label").hidden = !page.run.groups;
   // Both fields mean a search in other TTIs than the shown one.
   form.since.oninput = form.until.oninput = () => { form.here.checked = false; };

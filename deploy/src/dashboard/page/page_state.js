@@ -26,4 +26,9 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+// Shows a note about the shown TTI next to its controls.
+export function showNote(text) {
+  setText(byId("miss-note"), text);
+}
+
 export const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;

@@ -10,16 +10,47 @@ export function runState() {
   if (!run.live) return now.next < run.ttis ? "interrupted" : "finished";
   if (!clock) return "running";
   if (!clock.begun) return "joining";
-  if (clock.lost.length) return "waiting";
+  if (clock.hosts.some(({ lost }) => lost)) return "waiting";
   return clock.paused ? "paused" : "running";
+}
+
+// The position of the run, in the words of `reveille clock status`.
+function progressText(state) {
+  const { now, run } = page, of = `of ${ttiText(run.ttis)}`;
+  if (["finished", "interrupted"].includes(state)) return `after TTI ${ttiText(Math.max(now.next, 1) - 1)} ${of}`;
+  return `${["paused", "joining"].includes(state) ? "before" : "at"} TTI ${ttiText(now.next)} ${of}`;
 }
 
 // The end of TTIs to which the sums belong, or the reason for their absence.
 function countedText() {
   const { now, run } = page;
   if (now.next <= run.warm_up_end) return `warm-up until TTI ${ttiText(run.warm_up_end)}; nothing is counted yet`;
-  const share = now.events ? ` (${shortNumber((100 * now.missed) / now.events)} %)` : "";
-  return `${page.other ? "this run: " : ""}${now.missed} of ${plural(now.events, "event")} missed${share}`;
+  return missedText(now);
+}
+
+function missedText({ events, missed }) {
+  return events ? `${missed} of ${plural(events, "event")} missed (${shortNumber((100 * missed) / events)} %)` : "no event has been counted yet";
+}
+
+// The name of a run with the values in which compared runs often differ.
+export const describeRun = ({ run, policy, seed }) => `${run} (${policy}, seed ${seed})`;
+
+// Shows the constant data of the run, or of both runs.
+export function showAbout() {
+  const { run, other } = page, { preset, path } = run;
+  const names = [run, other?.run].filter(Boolean).map(({ run: name }) => name).join(" and ");
+  document.title = `${names} · Reveille`;
+  byId("run").textContent = names;
+  byId("counted").classList.toggle("this-run", Boolean(other));
+  byId("other-counted").hidden = !other;
+  const size = `${plural(run.devices, "device")} · preset ${preset}`;
+  byId("about").textContent = other ? size : `${run.policy} · seed ${run.seed} · ${size}`;
+  if (!path) return;
+  byId("folder").hidden = false;
+  // The mark keeps the leading slash in place: a long path is cut at its start, in a right-to-left box.
+  byId("path").textContent = `\u200e${path}`;
+  byId("path").title = path;
+  byId("copy-path").onclick = () => navigator.clipboard.writeText(path).then(() => { byId("copy-path").textContent = "Copied"; }, () => getSelection().selectAllChildren(byId("path")));
 }
 
 export function showRunState() {
@@ -28,10 +59,11 @@ export function showRunState() {
     chip.textContent = state;
     chip.dataset.state = state;
   }
-  setText(byId("progress"), now.next ? `TTI ${ttiText(now.next - 1)} of ${ttiText(run.ttis)}` : `before TTI 0 of ${ttiText(run.ttis)}`);
-  setText(byId("counted"), countedText());
+  setText(byId("progress"), progressText(state));
+  setText(byId("counted"), page.other ? `this run, ${describeRun(run)}: ${countedText()}` : countedText());
+  if (page.other) setText(byId("other-counted"), `other run, ${describeRun(page.other.run)}: ${missedText(page.other)}`);
   setText(byId("wall"), now.wall_s === null || !run.live ? "" : `${run.is_whole_wall_time ? "wall clock" : "watched for"} ${clockText(now.wall_s)}`);
-  setText(byId("message-count"), `${ttiText(now.messages)} messages`);
+  setText(byId("message-count"), page.other ? "" : `${ttiText(now.messages)} message${now.messages === 1 ? "" : "s"}`);
   const behind = now.next - 1 - page.tti;
   const end = run.live ? "the latest" : "the last";
   setText(byId("shown"), behind > 0 && !(page.follows && run.live) ? `${plural(behind, "TTI")} before ${end}` : end);

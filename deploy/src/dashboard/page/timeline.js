@@ -3,6 +3,7 @@
 import { get } from "./api.js";
 import { shortNumber, significant, ticks, ttiText } from "./axis.js";
 import { page } from "./page_state.js";
+import { STATES, nameOfCode } from "./states.js";
 import { ASLEEP, FAILED, OUT, REPORTED, REPORTING, SENSING, TILE_COLUMNS, TILE_ROWS, TimelineData, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
 import { ROW, tilePicture } from "./timeline_tile.js";
 import { GUTTER, HEAD, TimelineWindow } from "./timeline_window.js";
@@ -13,7 +14,10 @@ const EVENT_TOP = 26, EVENT_BOTTOM = 42;
 // Time between two requests for events, in milliseconds.
 const EVENT_INTERVAL = 400;
 
-const FLAG_NAMES = [[SENSING, "S1 senses"], [REPORTING, "S3"], [ASLEEP, "S4 sleeps"], [UNPOWERED, "unpowered"], [REPORTED, "report arrived"], [WAKE_UP_SENT, "wake-up sent"], [FAILED, "lacked energy, or report lost"], [OUT, "failed by an operator"]];
+const FLAG_NAMES = [
+  [SENSING, STATES.sensing.name], [REPORTING, nameOfCode(3)], [ASLEEP, STATES.asleep.name], [UNPOWERED, STATES.unpowered.name],
+  [REPORTED, "report arrived"], [WAKE_UP_SENT, "wake-up sent"], [FAILED, STATES.failed.name], [OUT, STATES.out.name],
+];
 
 export class Timeline {
   constructor(scroll, canvas, spacer) {

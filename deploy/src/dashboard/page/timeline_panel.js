@@ -2,6 +2,7 @@
 
 import { addExport } from "./export.js";
 import { byId, element, page, plural } from "./page_state.js";
+import { colourBox, stateEntry } from "./states.js";
 import { Timeline, cellText } from "./timeline.js";
 import { filterDevices } from "./timeline_filter.js";
 import { HEAD } from "./timeline_window.js";
@@ -21,6 +22,11 @@ export class TimelinePanel {
     form.onsubmit = (event) => event.preventDefault();
     form.onreset = () => setTimeout(() => this.filter());
     addExport(byId("timeline-title").parentElement, { name: "timeline", title: "Timeline", canvas: () => this.canvas, rows: () => this.timeline.rows() });
+    const entry = (colour, text) => element("span", {}, colourBox(colour), text);
+    byId("timeline-legend").prepend(
+      ...["sensing", "asleep", "unpowered", "out", "reporting"].map((state) => stateEntry(state)), stateEntry("woken", "wake-up sent"), stateEntry("failed"),
+      entry("--battery", "battery"), entry("--detected", "event detected"), entry("--alarm", "event missed"),
+    );
     byId("timeline-in").onclick = () => this.zoom(1.6);
     byId("timeline-out").onclick = () => this.zoom(1 / 1.6);
     byId("timeline-fit").onclick = () => this.change((view) => view.fit(page.now));

@@ -1,6 +1,7 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
 import { ASLEEP, FAILED, OUT, REPORTING, REPORTED, SENSING, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
+import { STATES } from "./states.js";
 import { ink, rgb } from "./theme.js";
 
 // Height of a row and of its parts, in pixels.
@@ -19,11 +20,8 @@ const packed = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
 // The colours of the state band, by flags and share of S1.
 class Palette {
   constructor() {
-    const [asleep, sensing, unpowered] = ["--asleep", "--accent", "--unpowered"].map(rgb);
-    this.reporting = packed(rgb("--event"));
-    this.woken = packed(rgb("--woken"));
-    this.failed = packed(rgb("--alarm"));
-    this.out = packed(rgb("--out"));
+    const colour = (state) => rgb(STATES[state].colour), [asleep, sensing, unpowered] = ["asleep", "sensing", "unpowered"].map(colour);
+    for (const state of ["reporting", "woken", "failed", "out"]) this[state] = packed(colour(state));
     this.battery = packed(rgb("--battery"));
     this.levels = [asleep, unpowered].map((base) => Array.from({ length: 256 }, (_, share) => packed(mix(base, sensing, share / 255))));
   }

@@ -6,7 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use reveille_common::bus::{Bus, BusError, TopicPublisher};
 use reveille_common::ids::{DeviceId, HostId};
-use reveille_common::message::{FailedTransmission, HostAnswer, Report};
+use reveille_common::message::{FailedTransmission, HostAnswer, Report, UnableDetectors};
 use reveille_common::secret::HostCredential;
 use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
@@ -27,7 +27,7 @@ struct Parts {
     missing: usize,
     reports: Vec<Report>,
     failures: Vec<FailedTransmission>,
-    unpowered: u32,
+    unable: UnableDetectors,
     totals: Option<DeviceTotals>,
     views: Vec<(DeviceId, DeviceView)>,
     ledgers: Vec<(DeviceId, Ledger)>,
@@ -39,8 +39,8 @@ pub enum DeviceAnswer {
     Reported(Report),
     /// The device could not transmit.
     Failed(FailedTransmission),
-    /// The device could not pay for sensing.
-    Unpowered,
+    /// The device would have detected the event, but could not sense.
+    Unable(UnableDetectors),
     /// A device with its state and battery.
     View(DeviceId, DeviceView),
     /// A device with its ledger. A grant's answer contains only the sum of the ledgers.
@@ -103,7 +103,7 @@ impl AnswerRound {
         match part {
             DeviceAnswer::Reported(report) => parts.reports.push(*report),
             DeviceAnswer::Failed(failure) => parts.failures.push(*failure),
-            DeviceAnswer::Unpowered => parts.unpowered += 1,
+            DeviceAnswer::Unable(unable) => parts.unable += *unable,
             DeviceAnswer::View(device, view) => parts.views.push((*device, *view)),
             DeviceAnswer::Ledger(device, ledger) => match self.request {
                 HostRequest::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
@@ -129,7 +129,7 @@ impl AnswerRound {
                 tti,
                 reports: parts.reports.len() as u32,
                 failures: parts.failures.clone(),
-                unpowered: parts.unpowered,
+                unable: parts.unable,
                 totals: parts.totals,
                 views: parts.sorted_views(),
             },

@@ -2,7 +2,7 @@
 //! Nothing is sent: parts are added by `add_part`, without an uplink. All numbers are arbitrary.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{FailedTransmission, HostAnswer, Report};
+use reveille_common::message::{FailedTransmission, HostAnswer, Report, UnableDetectors};
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
@@ -42,7 +42,7 @@ fn grant_done(reports: u32) -> HostAnswer {
         tti: TTI,
         reports,
         failures: Vec::new(),
-        unpowered: 0,
+        unable: UnableDetectors::default(),
         totals: None,
         views: None,
     }
@@ -88,7 +88,7 @@ fn a_grant_collects_failures_totals_and_views() {
         device: DeviceId(4),
         drained_energy: Energy::from_micro(2),
     };
-    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 7);
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 8);
     let view = |device: u32| DeviceView {
         state: DeviceState::Idle,
         battery: Energy::from_micro(u64::from(10 * device)),
@@ -96,12 +96,13 @@ fn a_grant_collects_failures_totals_and_views() {
     let view_part = |device: u32| DeviceAnswer::View(DeviceId(device), view(device));
     for part in [
         DeviceAnswer::Failed(failure),
-        DeviceAnswer::Unpowered,
+        DeviceAnswer::Unable(UnableDetectors::UNPOWERED),
         view_part(5),
+        DeviceAnswer::Unable(UnableDetectors::FAILED),
         view_part(4),
         DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))),
         DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8))),
-        DeviceAnswer::Unpowered,
+        DeviceAnswer::Unable(UnableDetectors::UNPOWERED),
     ] {
         assert_eq!(round.add_part(&part), None);
     }
@@ -110,7 +111,10 @@ fn a_grant_collects_failures_totals_and_views() {
         tti: TTI,
         reports: 0,
         failures: vec![failure],
-        unpowered: 2,
+        unable: UnableDetectors {
+            unpowered: 2,
+            failed: 1,
+        },
         totals: Some(totals(11)),
         views: Some(vec![view(4), view(5)]),
     };

@@ -1,5 +1,5 @@
 //! Tests of [`Machine`]: each transition between S1 to S4 with its cost. `step_by_step` compares it with a device that
-//! executes the TTIs one by one. Not tested here: failures by operators (`tests/tests/actions.rs`), removal
+//! executes the TTIs one by one. Not tested here: other effects of failures (`tests/tests/actions.rs`), removal
 //! (`tests/tests/device_removal.rs`) and checkpoints (takeovers and resumed runs in `tests/program/`).
 
 mod step_by_step;
@@ -10,7 +10,7 @@ use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::harvest::{HarvestSetup, TraceSetup};
 use reveille_common::ids::{DeviceId, EventId, Tti};
-use reveille_common::message::{DeviceSetup, FailedTransmission, Report, WakeOutcome};
+use reveille_common::message::{Change, DeviceRange, DeviceSetup, FailedTransmission, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use reveille_common::radio::RadioSettings;
 use reveille_common::scenario::{EnergyModel, TraceEnd};
@@ -329,6 +329,24 @@ fn a_wake_up_is_missed_in_s1_and_without_power() {
         WakeOutcome::Missed
     );
     assert_eq!(machine.state(), UNPOWERED);
+}
+
+#[test]
+fn a_failed_device_would_detect_events_with_delta_1_within_d_max() {
+    let (mut machine, physics) = sensing_device(500);
+    let devices = DeviceRange {
+        first: DEVICE,
+        count: 1,
+    };
+    machine.apply(Tti(0), &Change::Fail(devices));
+    assert_eq!(machine.sense(Tti(0), &event_at(FAR), &physics), SenseOutcome::Nothing);
+    assert_eq!(machine.sense(Tti(0), &event_at(NEAR), &physics), SenseOutcome::Failed);
+    assert_eq!((machine.state(), machine.battery()), (DeviceState::Failed, micro(500)));
+    let mut sleeping = machine.clone();
+    sleeping.set_duty(Tti(1), DutyCycle::ASLEEP);
+    assert_eq!(sleeping.sense(Tti(1), &event_at(NEAR), &physics), SenseOutcome::Nothing);
+    machine.remove(Tti(0));
+    assert_eq!(machine.sense(Tti(1), &event_at(NEAR), &physics), SenseOutcome::Nothing);
 }
 
 #[test]

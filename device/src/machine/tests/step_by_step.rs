@@ -215,7 +215,7 @@ type ReportOutcome = Option<Result<(), u64>>;
 
 fn outcome_of_sensing(sensed: &SenseOutcome) -> ReportOutcome {
     match sensed {
-        SenseOutcome::Nothing | SenseOutcome::Unpowered => None,
+        SenseOutcome::Nothing | SenseOutcome::Failed | SenseOutcome::Unpowered => None,
         SenseOutcome::Reported(_) => Some(Ok(())),
         SenseOutcome::TransmissionFailed(failure) => Some(Err(failure.drained_energy.micro())),
     }

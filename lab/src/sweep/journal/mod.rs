@@ -12,6 +12,7 @@ mod io;
 
 use std::collections::BTreeMap;
 
+use reveille_common::digits::count_noun;
 use reveille_common::score::Metrics;
 
 use crate::sweep::error::SweepError;
@@ -22,7 +23,7 @@ pub use io::Journal;
 /// The first word of a journal.
 const MAGIC: &str = "reveille-journal ";
 /// The version of the format, the second word.
-const FORMAT: &str = "3";
+const FORMAT: &str = "4";
 /// The number of bytes in which [`Journal::read_seed_count`] expects the first line.
 pub(super) const MAX_HEADER_BYTES: u64 = 1024;
 
@@ -87,8 +88,9 @@ impl JournalHeader {
 /// Explains why a journal of `journal_seeds` seeds a cell cannot become one of `seeds`.
 pub(super) fn too_many_seeds(journal_seeds: u64, seeds: u64) -> String {
     format!(
-        "holds the runs of {journal_seeds} seeds a cell, more than the requested {seeds}; use --seeds {journal_seeds} \
-         or more, or choose another folder with --out"
+        "holds the runs of {} a cell, more than the requested {seeds}; use --seeds {journal_seeds} \
+         or more, or choose another folder with --out",
+        count_noun(journal_seeds, "seed")
     )
 }
 

@@ -15,11 +15,13 @@ use reveille_common::score::Metrics;
 use self::points::{SweepPoint, sweep_points};
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
+use super::font::{Weight, has_all_glyphs, text_width};
 use super::results::Results;
 use super::scale::Scale;
 use super::study::{csv_cell, half_width_cell, runs_in_words};
-use super::style::Style;
+use super::style::{COLUMN_WIDTH, Style, TEXT_SIZE};
 use super::to_file_name;
+use crate::first_letter::{lower_first, upper_first};
 
 pub use self::points::{DEVICES, POLICY, SweptNumbers};
 
@@ -126,7 +128,7 @@ impl SweepFigureSpec {
     fn select_points<'r>(&self, points: Vec<SweepPoint<'r>>) -> Result<Vec<SweepPoint<'r>>, FigureError> {
         let check_field = |field: &str| {
             let is_known = points.iter().any(|point| point.value(field).is_some());
-            is_known.then_some(()).ok_or_else(|| FigureError::UnknownField {
+            is_known.then_some(()).ok_or_else(|| FigureError::UnvariedField {
                 name: field.to_owned(),
                 known: field_names(&points).join(", "),
             })
@@ -266,12 +268,16 @@ impl SweepFigureSpec {
         let has_zero = all_points().any(|p| p.y <= 0.0);
         let axis = Metrics::axis_label(&self.metric);
         Chart {
-            title: format!("{} against {}", self.metric, self.x_field),
-            x_label: self.x_field.clone(),
+            title: self.title(),
+            x_label: x_label(&self.x_field),
             y_label: axis.to_owned(),
             x: x_scale(all_points().map(|p| p.x), self.is_log_x),
             y: if self.is_log_y {
-                log_y_scale(all_points().flat_map(|p| [p.y, ends(p)[1]]), has_zero)
+                // The lower end of a wide interval near 0 would stretch the axis.
+                log_y_scale(
+                    all_points().flat_map(|p| [ends(p)[0].max(0.5 * p.y), ends(p)[1]]),
+                    has_zero,
+                )
             } else {
                 Scale::linear(all_points().flat_map(ends), true)
             },
@@ -282,6 +288,16 @@ impl SweepFigureSpec {
             caption: self.caption(facet, points, without_value, self.is_log_y && has_zero),
             series,
         }
+    }
+
+    /// Names the metric and the field along x, each with its identifier in brackets.
+    fn title(&self) -> String {
+        let axis = Metrics::axis_label(&self.metric);
+        let x = match field_in_words(&self.x_field) {
+            Some((words, _)) => format!("{words} ({})", self.x_field),
+            None => self.x_field.clone(),
+        };
+        format!("{} ({}) against {x}", upper_first(axis), self.metric)
     }
 
     fn caption(
@@ -380,10 +396,42 @@ pub fn canonical_field(field: &str) -> String {
     }
 }
 
+/// Returns the first clause of a field's help, and its unit; `None` without a declared field, or if the figures' font
+/// lacks a letter of the clause.
+fn field_in_words(field: &str) -> Option<(String, &'static str)> {
+    let (_, declared) = reveille_bs::scenario::declaration().field_by_path(field)?;
+    let help = declared.help.replace('`', "");
+    let ends = [". ", ": ", "; ", " ("].iter().filter_map(|end| help.find(end));
+    let clause = help[..ends.min().unwrap_or(help.len())].trim_end_matches('.');
+    let words = lower_first(clause);
+    let is_legible = |weight| has_all_glyphs(&words, weight);
+    (!words.is_empty() && is_legible(Weight::Regular) && is_legible(Weight::Bold)).then_some((words, declared.unit))
+}
+
+/// Returns the label of the x axis: the field in words, its unit and its identifier. Leaves out parts that do not fit
+/// below the axis; the title has them.
+fn x_label(field: &str) -> String {
+    /// Room below the axis, points.
+    const ROOM: f64 = 0.85 * COLUMN_WIDTH;
+    let Some((words, unit)) = field_in_words(field) else {
+        return field.to_owned();
+    };
+    let unit = if unit.is_empty() {
+        String::new()
+    } else {
+        format!(", {unit}")
+    };
+    let labels = [format!("{words}{unit} ({field})"), format!("{words}{unit}")];
+    let fitting = labels
+        .into_iter()
+        .find(|label| text_width(label, Weight::Regular, TEXT_SIZE) <= ROOM);
+    fitting.unwrap_or_else(|| format!("{field}{unit}"))
+}
+
 /// Creates the scale of the x axis. A linear axis has a margin at both ends, so that markers are not clipped.
 fn x_scale(values: impl Iterator<Item = f64> + Clone, is_log: bool) -> Scale {
     // Without a value above 0 there is no logarithmic axis; a linear one still shows the points.
-    if let Some(scale) = is_log.then(|| Scale::log(values.clone())).flatten() {
+    if let Some(scale) = is_log.then(|| Scale::tight_log(values.clone())).flatten() {
         return scale;
     }
     let (from, to) = Scale::linear(values, false).ends();
@@ -394,14 +442,17 @@ fn x_scale(values: impl Iterator<Item = f64> + Clone, is_log: bool) -> Scale {
     }
 }
 
-/// Creates the scale of a logarithmic y axis, with an extra decade at the bottom if there are zero values, as in
-/// `study`.
-fn log_y_scale(values: impl Iterator<Item = f64>, has_zero: bool) -> Scale {
-    let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 1.0 });
-    let (from, to) = scale.ends();
+/// Creates the scale of a logarithmic y axis. With zero values it has whole decades and an extra one at the bottom, as
+/// in `study`.
+fn log_y_scale(values: impl Iterator<Item = f64> + Clone, has_zero: bool) -> Scale {
+    let fallback = Scale::Log { from: 0.01, to: 1.0 };
+    if !has_zero {
+        return Scale::tight_log(values).unwrap_or(fallback);
+    }
+    let (from, to) = Scale::log(values).unwrap_or(fallback).ends();
     Scale::Log {
         // Values of 0 have no logarithm; the axis begins a decade lower, and they are drawn on its border.
-        from: if has_zero { from / 10.0 } else { from },
+        from: from / 10.0,
         to,
     }
 }

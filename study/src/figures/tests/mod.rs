@@ -5,28 +5,24 @@
 //!
 //! | file | figures |
 //! |---|---|
-//! | this one | of the paper, deployments, timelines, missed events; merged tables |
+//! | this one | of the paper; merged tables |
+//! | `run_figures` | deployments, timelines, missed events |
 //! | `learned` | learning curves, q-learning tables, `pareto` |
 //! | `sweep_spec` | any metric against any field |
 //! | `swept` | of the paper for sweeps and rankings |
 //! | `traded` | `delay`, energy floor, `front` |
 //! | `tuned` | tuning |
 
-use std::path::Path;
-
-use reveille_bs::scenario::{Override, Scenario, load, parse};
+use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::declare::NoFiles;
 
 use super::results::{Results, fixtures};
-use super::scene::{Paint, Scene, SceneItem};
-use super::{FigureError, deployment, energy, misses, png, study, svg, timeline};
-use crate::misses::{MissedEvent, Misses};
-use reveille_common::geometry::Point;
-use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::totals::MissCause;
+use super::scene::{Scene, SceneItem};
+use super::{FigureError, energy, png, study, svg};
 use reveille_lab::table::{Hash, Table};
 
 mod learned;
+mod run_figures;
 mod sweep_spec;
 mod swept;
 mod traded;
@@ -323,84 +319,6 @@ fn energy_results(runs: &[(&str, u32, &[f64])]) -> Results {
 }
 
 #[test]
-fn deployments_and_timelines_can_be_drawn_for_each_policy() {
-    for (policy, n) in [("knn", "80"), ("adjusted", "30"), ("random", "150"), ("genie", "1")] {
-        let policy = format!("policy.name={policy}");
-        let n = format!("devices={n}");
-        let scenario = scenario_with(&[&policy, &n, "ttis=300", "policy.adjusted.pilot_ttis=100"]);
-        let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
-        assert_eq!(event_scene.roles.len(), scenario.run.devices as usize);
-        let reports = event_scene.roles.iter().filter(|role| {
-            matches!(
-                role,
-                deployment::DeviceRole::Reporter | deployment::DeviceRole::Woken(_)
-            )
-        });
-        assert_eq!(
-            reports.count() as u64,
-            event_scene.event.tally.reports,
-            "{policy}: the drawn reporters are the devices that reported"
-        );
-        check_properties("deployment", &deployment::scene(&scenario, &event_scene));
-        let shown = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
-        check_properties("timeline", &timeline::scene(&scenario, &shown));
-    }
-}
-
-/// Rings mark all classes but the most frequent one, and the timeline names the class of each device.
-#[test]
-fn device_classes_are_marked() {
-    let text = "devices = 12\nttis = 300\n[policy]\nname = \"random\"\n[[class]]\nname = \"weak\"\nshare = 0.75\n\
-                energy.e_wur = 0.00003\n[[class]]\nname = \"strong\"\nshare = 0.25\nenergy.e_max = 0.5\n\
-                energy.e_idle = 0.1\nenergy.e_tx = 0.5\n";
-    let scenario = parse(text, "classes.toml", Path::new(""), &[])
-        .expect("a scenario")
-        .scenario;
-    let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
-    let marked = deployment::scene(&scenario, &event_scene);
-    check_properties("classes", &marked);
-    let legend = texts_of(&marked);
-    for entry in ["class weak (9), without a ring", "class strong (3)"] {
-        assert!(legend.contains(&entry), "{entry}: {legend:?}");
-    }
-    let purple = Paint::Colour(super::style::PURPLE);
-    let rings = marked.items.iter().filter(|item| match item {
-        SceneItem::Shape(shape) => shape.fill.is_none() && shape.stroke.is_some_and(|stroke| stroke.paint == purple),
-        SceneItem::Text(_) => false,
-    });
-    assert_eq!(rings.count(), 4, "three devices and the legend");
-    let classes = reveille_common::scenario::assign_classes(&scenario);
-    let of_class = |class: u16| {
-        (0..12)
-            .find(|device| classes[*device as usize] == class)
-            .expect("a device")
-    };
-    let shown = timeline::Timeline::from_scenario(&scenario, &[of_class(0), of_class(1)], 30, 60).expect("a timeline");
-    let drawn = timeline::scene(&scenario, &shown);
-    check_properties("class-timeline", &drawn);
-    let drawn_texts = texts_of(&drawn);
-    for entry in [
-        "class weak: E_max 100, E_idle 1, E_WuR 0.00003, E_Tx 10 units",
-        "class strong: E_max 0.5, E_idle 0.1, E_WuR 0.0714, E_Tx 0.5 units",
-        "0.25",
-    ] {
-        assert!(drawn_texts.contains(&entry), "{entry}: {drawn_texts:?}");
-    }
-}
-
-#[test]
-fn an_event_without_a_report_can_be_drawn() {
-    let scenario = scenario_with(&["policy.name=random", "devices=3", "ttis=300"]);
-    let events = super::run_walk::collect_events(&scenario);
-    let unreported = events
-        .iter()
-        .find(|event| event.tally.reports == 0)
-        .expect("an event without a report");
-    let event_scene = deployment::EventScene::from_scenario(&scenario, Some(unreported.event.0)).expect("an event");
-    check_properties("unreported", &deployment::scene(&scenario, &event_scene));
-}
-
-#[test]
 fn tables_are_combined_by_their_runs() {
     let (name, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
     let (_, other) = fixtures::table("paper", "mean_battery", &RUNS[2..4]);
@@ -536,50 +454,5 @@ fn figures_are_selected_by_name() {
     assert!(
         refused.contains("`energie`") && refused.contains("wasted, harvest, net"),
         "{refused}"
-    );
-}
-
-#[test]
-fn missed_events_have_a_marker_and_a_count_for_each_cause() {
-    let mut run_misses = Misses::new(scenario_with(&["devices=30"]));
-    let scene_without_misses = misses::scene(&run_misses);
-    check_properties("no misses", &scene_without_misses);
-    assert!(
-        scene_without_misses.description.contains("No event was counted."),
-        "{}",
-        scene_without_misses.description
-    );
-    let causes = MissCause::ALL.map(Some).into_iter().chain([None]);
-    for (number, cause) in (0_u64..).zip(causes) {
-        run_misses.counted_starts.push(Tti(1000 + number));
-        for event in 0..=number {
-            run_misses.missed.push(MissedEvent {
-                event,
-                start: Tti(1000 + number),
-                epicentre: Point::new(1.0 + 2.0 * number as f64, 1.0 + 2.0 * event as f64),
-                cause,
-                nearest: DeviceId(0),
-                distance_m: 1.0,
-            });
-        }
-    }
-    let scene = misses::scene(&run_misses);
-    check_properties("misses", &scene);
-    let texts = texts_of(&scene);
-    for (cause, count) in run_misses.causes() {
-        let entry = format!("{} ({count})", crate::misses::cause_name(cause));
-        assert!(texts.contains(&entry.as_str()), "no {entry}: {texts:?}");
-    }
-    let shapes = |scene: &Scene| {
-        scene
-            .items
-            .iter()
-            .filter(|item| matches!(item, SceneItem::Shape(_)))
-            .count()
-    };
-    // Each event and each entry of the legend has a marker: one for each cause, and one for unknown causes.
-    assert_eq!(
-        shapes(&scene) - shapes(&scene_without_misses),
-        run_misses.missed.len() + MissCause::ALL.len() + 1
     );
 }

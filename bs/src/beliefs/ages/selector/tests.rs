@@ -5,7 +5,7 @@ use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 
-use super::super::{MIN_PRICE, age_worths};
+use super::super::MIN_PRICE;
 use super::*;
 
 const AREA: Area = Area {
@@ -27,7 +27,7 @@ fn sensing(kind: DetectionKind) -> Sensing {
 
 fn positions_and_ages(kind: DetectionKind, n: u32, seed: u64) -> (Vec<Point>, Ages) {
     let positions = place_devices(&Layout::Uniform, AREA, n, seed);
-    let ages = Ages::new(&positions, AREA, &sensing(kind), age_worths());
+    let ages = Ages::new(&positions, AREA, &sensing(kind));
     (positions, ages)
 }
 
@@ -95,7 +95,7 @@ fn a_device_that_covers_all_cells_is_chosen_alone() {
         height: 0.4,
     };
     let positions = [Point::new(3.1, 0.2), Point::new(0.5, 0.2), Point::new(5.5, 0.2)];
-    let mut ages = Ages::new(&positions, area, &sensing(DetectionKind::Range), age_worths());
+    let mut ages = Ages::new(&positions, area, &sensing(DetectionKind::Range));
     let cells_covered = ages.gain(0);
     // A price below the gain of one cell.
     let chosen = DeviceSelector::new(&positions, area, D_MAX).choose(&mut ages, &[0.2; 3]);

@@ -7,7 +7,7 @@ use reveille_common::sensing::Sensing;
 
 use super::traits::{AreaState, Gain, PASS_MIN_BUCKETS, area_in_discs};
 use crate::beliefs::ages::selector::DeviceSelector;
-use crate::beliefs::ages::{Ages, MIN_PRICE, age_worths};
+use crate::beliefs::ages::{Ages, MIN_PRICE};
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, Lookback};
 
 /// Area state in which a device's gain is the sum of the age indices of its newly covered places. Devices are chosen as
@@ -33,7 +33,7 @@ pub(super) struct AgedArea {
 
 impl AgedArea {
     pub(super) fn new(loss_probability: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
-        let ages = Ages::with_loss(loss_probability, positions, area, sensing, age_worths());
+        let ages = Ages::with_loss(loss_probability, positions, area, sensing);
         Self {
             selector: DeviceSelector::new(positions, area, sensing.d_max),
             cell_count: area.surface() / ages.cell_surface(),

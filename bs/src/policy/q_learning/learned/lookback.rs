@@ -5,6 +5,7 @@ use std::fmt;
 use std::fmt::Display;
 use std::str::FromStr;
 
+use reveille_common::digits::count_noun;
 use serde::{Deserialize, Serialize};
 
 use super::tables::{AREA_BUCKETS, area_end, worth_end};
@@ -75,7 +76,7 @@ impl Lookback {
     /// Returns a phrase for messages and descriptions of tables: "a window of 4 TTIs", or "ages".
     pub fn describe(self) -> String {
         match self {
-            Self::Window(window) => format!("a window of {window} TTIs"),
+            Self::Window(window) => format!("a window of {}", count_noun(window, "TTI")),
             Self::Ages => self.to_string(),
         }
     }

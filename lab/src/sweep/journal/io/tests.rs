@@ -166,22 +166,22 @@ fn another_sweep_and_a_second_process_are_refused() {
     drop(first);
     let message = Journal::open(&file.0, "you", 3, 5).expect_err("another");
     assert!(message.contains("another experiment"), "{message}");
-    // The texts repeat `FORMAT`, which is 3.
+    // The texts repeat `FORMAT`, which is 4.
     for text in [
         "letters\n",
         "my precious notes",
-        "reveille-journal 3 you",
-        "reveille-journal 3 me too",
-        "reveille-journal 3 me 5 6\n",
-        "reveille-journal 3 me\n",
+        "reveille-journal 4 you",
+        "reveille-journal 4 me too",
+        "reveille-journal 4 me 5 6\n",
+        "reveille-journal 4 me\n",
         "reveille-journal 1 me 5\n",
         "r\n",
     ] {
         fs::write(&file.0, text).expect("written");
         let message = Journal::open(&file.0, "me", 3, 5).expect_err("no journal");
         let cause = match text.strip_prefix("reveille-journal ").map(|format| &format[..1]) {
-            Some("3") => "another experiment",
-            Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 3",
+            Some("4") => "another experiment",
+            Some(_) => "a runs.journal of format 1, but this version of reveille resumes format 4",
             None => "damaged first line",
         };
         assert!(message.contains(cause), "{text}: {message}");

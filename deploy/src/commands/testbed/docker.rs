@@ -1,0 +1,509 @@
+//! The container engine, through the command lines of Docker and of compose: v2 (`docker compose`), or 1.29
+//! (`docker-compose`). Containers are found by the labels that both set. Errors tell how to repair the installation.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::PathBuf;
+use std::process::{Command, ExitCode, Output, Stdio};
+
+use anyhow::{Context, anyhow, bail, ensure};
+
+use super::compose::{COMPOSE_FILE, NETWORK};
+use super::faults::Fault;
+use super::model::Testbed;
+use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
+use crate::cli::FaultKind;
+use crate::display::shell_word;
+
+/// Processor cores of a slow container.
+const SLOW_CPUS: &str = "0.05";
+
+/// A compose project.
+pub(super) struct Project {
+    /// The folder with its `compose.yml`.
+    pub folder: PathBuf,
+    pub name: String,
+}
+
+impl Project {
+    /// The project of `testbed`.
+    pub(super) fn of(testbed: &Testbed) -> Self {
+        Self {
+            folder: testbed.folder.clone(),
+            name: testbed.config.name.clone(),
+        }
+    }
+}
+
+/// A container of a project.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Container {
+    pub id: String,
+    pub service: String,
+    /// Its state and for how long, such as `Up 5 seconds (healthy)`.
+    pub status: String,
+}
+
+impl Container {
+    /// Checks that it can be disturbed.
+    fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
+        let Self { service, status, .. } = self;
+        ensure!(
+            status.starts_with("Up"),
+            "{fault}: {service} does not run ({status}); only running containers can be disturbed"
+        );
+        let needs_processes = matches!(fault.kind, FaultKind::Kill | FaultKind::Pause | FaultKind::Stop);
+        ensure!(
+            !needs_processes || !status.contains("(Paused)"),
+            "{fault}: {service} is paused; end that with `restore` first"
+        );
+        Ok(())
+    }
+
+    /// The exit code of its last process; `None` while one runs.
+    pub(super) fn exit_code(&self) -> Option<u8> {
+        let (state, rest) = self.status.split_once(" (")?;
+        let (code, _) = rest.split_once(')')?;
+        ["Exited", "Restarting"].contains(&state).then(|| code.parse().ok())?
+    }
+}
+
+/// The container of the base station at one moment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct BsState {
+    /// `running`, `restarting`, `exited` and so on.
+    pub status: String,
+    pub exit_code: u8,
+    /// The time of its last start, which changes with each start.
+    pub started_at: String,
+}
+
+/// The engine, which answers, and its compose command.
+pub(super) struct Docker {
+    compose: Vec<&'static str>,
+}
+
+impl Docker {
+    /// Finds the engine and compose.
+    ///
+    /// # Errors
+    /// If one is missing, or the engine does not answer.
+    pub(super) fn find() -> anyhow::Result<Self> {
+        let has = |command: &[&str]| execute(command).is_ok_and(|output| output.status.success());
+        let docker = Self {
+            compose: if has(&["docker", "compose", "version"]) {
+                vec!["docker", "compose"]
+            } else {
+                vec!["docker-compose"]
+            },
+        };
+        docker.run(&["version", "--format", "{{.Server.Version}}"])?;
+        ensure!(
+            docker.compose.len() > 1 || has(&["docker-compose", "version"]),
+            "docker: neither `docker compose` nor docker-compose is installed; install the package \
+             docker-compose-plugin or docker-compose"
+        );
+        Ok(docker)
+    }
+
+    /// Runs `docker ARGS`, and returns its output even if it fails.
+    #[expect(clippy::unused_self, reason = "a `Docker` proves that the engine answers")]
+    fn output(&self, args: &[&str]) -> anyhow::Result<Output> {
+        execute(&[&["docker"], args].concat())
+    }
+
+    /// Runs `docker ARGS` and returns its standard output without the last line break.
+    ///
+    /// # Errors
+    /// If it fails; explains usual causes.
+    pub(super) fn run(&self, args: &[&str]) -> anyhow::Result<String> {
+        let output = self.output(args)?;
+        if output.status.success() {
+            return Ok(text_of(&output.stdout));
+        }
+        Err(explain_failure(args[0], &text_of(&output.stderr)))
+    }
+
+    /// Runs a compose command of `project`.
+    ///
+    /// # Errors
+    /// If it fails; holds its output.
+    pub(super) fn compose(&self, project: &Project, args: &[&str]) -> anyhow::Result<()> {
+        let output = execute_in_background(&mut self.compose_command(project, args))?;
+        if output.status.success() {
+            return Ok(());
+        }
+        Err(explain_failure(
+            args[0],
+            String::from_utf8_lossy(&output.stderr).trim_end(),
+        ))
+    }
+
+    /// Runs a compose command of `project` with this program's terminal.
+    pub(super) fn compose_in_foreground(&self, project: &Project, args: &[&str]) -> anyhow::Result<ExitCode> {
+        let status = self.compose_command(project, args).status()?;
+        // A shell reports a signal in the same way.
+        let code = status.code().or_else(|| status.signal().map(|signal| 128 + signal));
+        Ok(ExitCode::from(
+            code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1),
+        ))
+    }
+
+    fn compose_command(&self, project: &Project, args: &[&str]) -> Command {
+        let mut command = Command::new(self.compose[0]);
+        command
+            .args(&self.compose[1..])
+            .args(["--project-name", &project.name, "--project-directory"])
+            .arg(&project.folder)
+            .arg("--file")
+            .arg(project.folder.join(COMPOSE_FILE))
+            .args(args);
+        command
+    }
+
+    /// Starts the base station of `testbed`, after its certificates.
+    ///
+    /// # Errors
+    /// If compose fails, or the image has no TLS.
+    pub(super) fn start_bs(&self, testbed: &Testbed, project: &Project) -> anyhow::Result<()> {
+        self.compose(project, &["up", "--detach", BS_SERVICE]).map_err(|error| {
+            let certificates = self.container(project, CERTIFICATES_SERVICE);
+            if testbed.config.tls && certificates.is_ok_and(|container| container.exit_code() == Some(2)) {
+                let image = &testbed.config.image;
+                return anyhow!(
+                    "image {image}: its Reveille has no TLS; build it with TLS (see deploy/docker/README.md), or set \
+                     `tls = false` in testbed.toml"
+                );
+            }
+            error
+        })
+    }
+
+    /// Checks that the engine has the image.
+    pub(super) fn check_image(&self, image: &str) -> anyhow::Result<()> {
+        let found = self.output(&["image", "inspect", image])?.status.success();
+        ensure!(
+            found,
+            "image {image}: not found; build it in a clone of Reveille with `docker compose build bs` (see \
+             deploy/docker/README.md), or name another image in testbed.toml"
+        );
+        Ok(())
+    }
+
+    /// The containers of `project`, stopped ones too.
+    pub(super) fn containers(&self, project: &Project) -> anyhow::Result<Vec<Container>> {
+        let filter = format!("label=com.docker.compose.project={}", project.name);
+        let form = "{{.ID}}\t{{.Label \"com.docker.compose.service\"}}\t{{.Status}}";
+        let list = self.run(&["ps", "--all", "--filter", &filter, "--format", form])?;
+        let parse = |line: &str| {
+            let mut cells = line.split('\t').map(str::to_owned);
+            Some(Container {
+                id: cells.next()?,
+                service: cells.next()?,
+                status: cells.next()?,
+            })
+        };
+        Ok(list.lines().filter_map(parse).collect())
+    }
+
+    /// Checks that no testbed of another folder has the name of `project`.
+    ///
+    /// # Errors
+    /// If one has.
+    pub(super) fn check_owner(&self, project: &Project) -> anyhow::Result<()> {
+        let filter = format!("label=com.docker.compose.project={}", project.name);
+        let form = "{{.Label \"com.docker.compose.project.working_dir\"}}";
+        let folders = self.run(&["ps", "--all", "--filter", &filter, "--format", form])?;
+        let own = project.folder.canonicalize()?;
+        let is_other = |folder: &&str| PathBuf::from(folder).canonicalize().is_ok_and(|folder| folder != own);
+        match folders.lines().find(is_other) {
+            Some(other) => bail!(
+                "{}: containers of this name belong to {other}; change the name in testbed.toml, or remove them with \
+                 `reveille testbed down {}`",
+                project.name,
+                shell_word(other)
+            ),
+            None => Ok(()),
+        }
+    }
+
+    /// The container of a service.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub(super) fn container(&self, project: &Project, service: &str) -> anyhow::Result<Container> {
+        let containers = self.containers(project)?;
+        let found = containers.into_iter().find(|container| container.service == service);
+        found.with_context(|| {
+            let folder = shell_word(&project.folder);
+            format!("{service}: no such container; start the testbed with `reveille testbed up {folder}`")
+        })
+    }
+
+    /// The state of the base station's container.
+    pub(super) fn bs_state(&self, bs: &Container) -> anyhow::Result<BsState> {
+        let form = "{{.State.Status}} {{.State.ExitCode}} {{.State.StartedAt}}";
+        let text = self.run(&["inspect", "--format", form, &bs.id])?;
+        let mut words = text.split(' ');
+        let mut next = || words.next().unwrap_or_default().to_owned();
+        Ok(BsState {
+            status: next(),
+            exit_code: next().parse().unwrap_or(1),
+            started_at: next(),
+        })
+    }
+
+    /// The results that the base station printed after its last start.
+    pub(super) fn results_printed_by(&self, bs: &Container) -> anyhow::Result<String> {
+        let started_at = self.bs_state(bs)?.started_at;
+        self.run(&["logs", "--since", &started_at, &bs.id])
+    }
+
+    /// The last lines that a container has logged.
+    pub(super) fn last_log_lines(&self, container: &Container, count: &str) -> anyhow::Result<String> {
+        let output = self.output(&["logs", "--tail", count, &container.id])?;
+        Ok(text_of(&output.stderr))
+    }
+
+    /// Runs `reveille clock ARGS` in the container of the base station, and returns its first line.
+    ///
+    /// # Errors
+    /// If the clock does not answer or refuses.
+    pub(super) fn clock(&self, bs: &Container, args: &[&str]) -> anyhow::Result<String> {
+        let text = self.run(&[&["exec", &bs.id, "reveille", "clock"], args].concat())?;
+        Ok(text.lines().next().unwrap_or_default().to_owned())
+    }
+
+    /// The address on this machine of a port of a container, while it runs.
+    pub(super) fn published_port(&self, container: &Container, port: &str) -> Option<String> {
+        let address = self.run(&["port", &container.id, port]).ok()?;
+        address.lines().next().map(str::to_owned)
+    }
+
+    /// The address of the dashboard in a browser, with its token, once it serves.
+    pub(super) fn dashboard_url(&self, dashboard: &Container) -> Option<String> {
+        let log = self.last_log_lines(dashboard, "all").ok()?;
+        let (_, token) = log
+            .lines()
+            .rfind(|line| line.starts_with("dashboard at "))?
+            .split_once('#')?;
+        let address = self.published_port(dashboard, "8464")?;
+        Some(format!("http://{address}/#{token}"))
+    }
+
+    /// The memory of running containers, by id.
+    pub(super) fn memory(&self, containers: &[Container]) -> anyhow::Result<BTreeMap<String, String>> {
+        let running = containers.iter().filter(|container| container.status.starts_with("Up"));
+        let ids: Vec<&str> = running.map(|container| container.id.as_str()).collect();
+        if ids.is_empty() {
+            return Ok(BTreeMap::new());
+        }
+        let form = "{{.ID}}\t{{.MemUsage}}";
+        let list = self.run(&[&["stats", "--no-stream", "--format", form][..], &ids].concat())?;
+        let rows = list.lines().filter_map(|line| line.split_once('\t'));
+        Ok(rows.map(|(id, memory)| (id.to_owned(), memory.to_owned())).collect())
+    }
+
+    /// Applies a fault now, without its end.
+    ///
+    /// # Errors
+    /// If the container does not exist, or is not in a state for the fault.
+    pub(super) fn apply(&self, testbed: &Testbed, project: &Project, fault: &Fault) -> anyhow::Result<()> {
+        let container = self.container(project, &fault.container)?;
+        let id = container.id.as_str();
+        let network = format!("{}_{NETWORK}", project.name);
+        if fault.kind != FaultKind::Restore {
+            container.check_runs(fault)?;
+        }
+        let result = match fault.kind {
+            FaultKind::Kill => return self.kill_processes(&container),
+            FaultKind::Pause => self.run(&["pause", id]),
+            FaultKind::Disconnect => self.run(&["network", "disconnect", "--force", &network, id]),
+            FaultKind::Slow => self.run(&["update", "--cpus", SLOW_CPUS, id]),
+            FaultKind::Stop => self.run(&["stop", id]),
+            FaultKind::Restore => {
+                // Only a fault ends a container while the base station runs.
+                let is_over = self.container(project, BS_SERVICE)?.status.starts_with("Exited");
+                let Container { service, status, .. } = &container;
+                ensure!(
+                    !is_over || !status.starts_with("Exited"),
+                    "{fault}: {service} has ended ({status}) like the base station; `reveille testbed up` starts both"
+                );
+                return self.restore(testbed, &network, &container);
+            }
+        };
+        result.map(drop).with_context(|| fault.to_string())
+    }
+
+    /// Ends a fault whose duration is over. A container that ended with the run stays as it is.
+    ///
+    /// # Errors
+    /// If the engine cannot restore the container.
+    pub(super) fn end_fault(&self, testbed: &Testbed, project: &Project, restoration: &Fault) -> anyhow::Result<()> {
+        let has_ended = |service: &str| -> anyhow::Result<bool> {
+            Ok(self.container(project, service)?.status.starts_with("Exited"))
+        };
+        if has_ended(BS_SERVICE)? && has_ended(&restoration.container)? {
+            return Ok(());
+        }
+        self.apply(testbed, project, restoration)
+    }
+
+    /// Kills all processes in a container except its first one, which ends with them. The engine restarts a container
+    /// after that, but not after `docker kill`.
+    fn kill_processes(&self, container: &Container) -> anyhow::Result<()> {
+        let output = self.output(&["exec", &container.id, "/bin/sh", "-c", "kill -s KILL -- -1"])?;
+        // The shell survives its own signal, but can be killed with the container.
+        if matches!(output.status.code(), Some(0 | 137)) {
+            return Ok(());
+        }
+        Err(explain_failure("exec", &text_of(&output.stderr)))
+    }
+
+    /// Ends the faults that a killed `testbed up` left. Containers that have ended stay as they are.
+    ///
+    /// # Errors
+    /// If the engine fails.
+    pub(super) fn end_left_faults(&self, testbed: &Testbed, project: &Project) -> anyhow::Result<()> {
+        let network = format!("{}_{NETWORK}", project.name);
+        for container in self.containers(project)? {
+            if container.status.starts_with("Up") {
+                self.restore(testbed, &network, &container)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends the effects of faults on a container.
+    fn restore(&self, testbed: &Testbed, network: &str, container: &Container) -> anyhow::Result<()> {
+        let id = container.id.as_str();
+        let form = "{{.State.Status}} {{.HostConfig.NanoCpus}} {{json .NetworkSettings.Networks}}";
+        let state = self.run(&["inspect", "--format", form, id])?;
+        let (status, rest) = state.split_once(' ').unwrap_or_default();
+        let (nano_cpus, networks) = rest.split_once(' ').unwrap_or_default();
+        if status == "paused" {
+            self.run(&["unpause", id])?;
+        }
+        if !networks.contains(&format!("\"{network}\"")) {
+            // Without the alias the other containers would not find it.
+            self.run(&["network", "connect", "--alias", &container.service, network, id])?;
+        }
+        if status == "exited" {
+            self.run(&["start", id])?;
+        }
+        let own = testbed.containers.iter().find(|own| own.service == container.service);
+        let cpus = own.and_then(|own| testbed.config.classes[own.class].cpus);
+        let slow_nano_cpus = SLOW_CPUS.parse().map(|cpus: f64| format!("{:.0}", cpus * 1e9));
+        if slow_nano_cpus.is_ok_and(|slow| slow == nano_cpus) {
+            // The engine cannot remove a limit; all cores have the same effect.
+            let cpus = cpus.map_or_else(
+                || self.run(&["info", "--format", "{{.NCPU}}"]),
+                |cpus| Ok(cpus.to_string()),
+            );
+            self.run(&["update", "--cpus", &cpus?, id])?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs a command without input, and returns its output.
+fn execute(command: &[&str]) -> anyhow::Result<Output> {
+    execute_in_background(Command::new(command[0]).args(&command[1..]))
+}
+
+/// Runs a command in a separate process group: Ctrl-C must end this program, not the command that it waits for.
+fn execute_in_background(command: &mut Command) -> anyhow::Result<Output> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    command.stdin(Stdio::null()).process_group(0).output().map_err(|error| {
+        if error.kind() == ErrorKind::NotFound {
+            anyhow!(
+                "{program}: command not found; install Docker with compose, such as the Debian packages docker.io \
+                     and docker-compose"
+            )
+        } else {
+            anyhow!("{program}: cannot start it: {error}")
+        }
+    })
+}
+
+/// Returns an output as text, without the last line break.
+fn text_of(output: &[u8]) -> String {
+    String::from_utf8_lossy(output).trim_end().to_owned()
+}
+
+/// Returns the error for a failed command, with the fix if the cause is a usual one.
+fn explain_failure(command: &str, stderr: &str) -> anyhow::Error {
+    let lower = stderr.to_lowercase();
+    let fix = if lower.contains("permission denied") && lower.contains("docker") {
+        "; this user may not use Docker: add the user to the group `docker`, or use sudo"
+    } else if lower.contains("cannot connect to the docker daemon") || lower.contains("connection refused") {
+        "; no engine answers: start it, such as with `systemctl start docker`"
+    } else if lower.contains("is not connected to") {
+        "; the container is disconnected already: end that with `restore`"
+    } else {
+        ""
+    };
+    anyhow!("docker {command}: {stderr}{fix}")
+}
+
+/// Shortens a line of `clock status`: names the containers among `services` with lost hosts, not each host.
+pub(super) fn shorten_clock(line: &str, services: &[String]) -> String {
+    let Some((state, hosts)) = line.split_once(": lost ") else {
+        return line.to_owned();
+    };
+    let is_lost =
+        |service: &&String| hosts.contains(&format!(" on {service} (")) || hosts.contains(&format!(" on {service})"));
+    let lost: Vec<&str> = services.iter().filter(is_lost).map(String::as_str).collect();
+    format!("{state}: lost {}", lost.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn usual_causes_are_explained() {
+        for (stderr, fix) in [
+            (
+                "Got permission denied while trying to connect to the Docker daemon socket",
+                "add the user to the group `docker`",
+            ),
+            (
+                "Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is the docker daemon running?",
+                "systemctl start docker",
+            ),
+            ("no such file", "docker ps: no such file"),
+        ] {
+            let error = explain_failure("ps", stderr).to_string();
+            assert!(error.contains(fix) && error.contains(stderr), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_status_has_the_exit_code_of_an_ended_process() {
+        for (status, exit_code) in [
+            ("Up 5 seconds (healthy)", None),
+            ("Up 2 minutes (Paused)", None),
+            ("Exited (0) 3 seconds ago", Some(0)),
+            ("Restarting (137) Less than a second ago", Some(137)),
+            ("Created", None),
+        ] {
+            let container = Container {
+                id: String::new(),
+                service: String::new(),
+                status: status.to_owned(),
+            };
+            assert_eq!(container.exit_code(), exit_code, "{status}");
+        }
+    }
+
+    #[test]
+    fn a_missing_program_is_named_with_the_packages() {
+        let error = execute(&["no-such-program"]).expect_err("no program").to_string();
+        assert!(
+            error.starts_with("no-such-program: command not found; install Docker"),
+            "{error}"
+        );
+    }
+}

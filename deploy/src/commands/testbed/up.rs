@@ -1,0 +1,305 @@
+//! `reveille testbed up`: starts the containers, applies the schedule of faults, waits for the end and copies the
+//! results. The clock pauses before the TTI of each fault, so that a fault takes effect there at any speed; pauses do
+//! not change the digest. After an interruption, the same command resumes the run.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use indicatif::ProgressBar;
+
+use super::compose::{RESULTS_FOLDER, write_compose};
+use super::docker::{Container, Docker, Project, shorten_clock};
+use super::faults::{Fault, ScheduledFault};
+use super::model::Testbed;
+use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
+use super::results::{check_digest, copy_results};
+use crate::cli::TestbedUpArgs;
+use crate::display::{count_noun, new_bar, note, print_stdout, shell_word};
+use crate::exit::{ExitReason, Interrupted};
+use crate::signals::{SignalMode, Signals};
+
+/// Time between two looks at the containers.
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Longest wait for the address of the dashboard.
+const DASHBOARD_PATIENCE: Duration = Duration::from_secs(20);
+/// Lines of the base station's log that the error of a failed run shows.
+const LOG_LINES: &str = "5";
+
+/// Exit codes without a failure of the program: success, and the signals of faults and of compose.
+const NO_FAILURES: [u8; 4] = [0, 130, 137, 143];
+
+/// Runs a testbed.
+pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
+    let testbed = Testbed::load(&args.testbed.path)?;
+    ensure!(
+        !args.detach || testbed.faults.is_empty(),
+        "--detach: only a running `testbed up` can apply the schedule; leave out --detach, or remove the faults from \
+         testbed.toml"
+    );
+    let docker = Docker::find()?;
+    let project = Project::of(&testbed);
+    docker.check_image(&testbed.config.image)?;
+    docker.check_owner(&project)?;
+    let signals = Signals::install(SignalMode::StopsContainers)?;
+    write_compose(&testbed).context("cannot write the files of the testbed")?;
+    docker.end_left_faults(&testbed, &project)?;
+    let mut driver = Driver::start(&docker, &testbed, &project, &signals)?;
+    let folder = shell_word(&testbed.folder);
+    if args.detach && !signals.has_arrived() {
+        note!("started; `reveille testbed status {folder}` shows it, `… results {folder}` copies the results");
+        return Ok(ExitReason::Done.into());
+    }
+    let exit_code = driver.drive_to_end();
+    let bs = driver.finish();
+    let exit_code = exit_code?;
+    let services = testbed.services();
+    // The dashboard shows a complete run until `down`.
+    let is_stopped = |service: &&str| exit_code != Some(0) || *service != DASHBOARD_SERVICE;
+    let stopped = services.iter().map(String::as_str).filter(is_stopped);
+    docker.compose(&project, &["stop"].into_iter().chain(stopped).collect::<Vec<_>>())?;
+    let Some(exit_code) = exit_code else {
+        let text =
+            format!("interrupted; continue with `reveille testbed up {folder}`, or remove with `… down {folder}`");
+        return Err(Interrupted(text.into()).into());
+    };
+    if exit_code != 0 {
+        let log = docker.last_log_lines(&bs, LOG_LINES)?;
+        bail!(
+            "the base station ended with exit code {exit_code}:\n{log}\n`reveille testbed logs {folder} bs` prints the \
+             whole log; `… down` removes the run"
+        );
+    }
+    let results = copy_results(&docker, &testbed)?;
+    // The base station names the folder in its container.
+    let printed = docker.results_printed_by(&bs)?;
+    let inner_folder = format!("{RESULTS_FOLDER}/{}", project.name);
+    print_stdout(&(printed.replace(&inner_folder, &results.display().to_string()) + "\n"))?;
+    if args.check {
+        check_digest(&testbed, &results)?;
+    }
+    Ok(ExitReason::Done.into())
+}
+
+/// A testbed that runs.
+struct Driver<'a> {
+    docker: &'a Docker,
+    testbed: &'a Testbed,
+    project: &'a Project,
+    signals: &'a Signals,
+    bar: ProgressBar,
+    bs: Container,
+    /// The last known start of the base station.
+    bs_started_at: String,
+    /// The faults to come.
+    schedule: VecDeque<&'a ScheduledFault>,
+    /// The ends of faults to come, with their times.
+    restorations: Vec<(Instant, Fault)>,
+    /// Containers whose failure was reported.
+    reported: BTreeSet<String>,
+}
+
+impl<'a> Driver<'a> {
+    /// Starts the base station, sets the clock to pause at the first fault, and starts the other containers.
+    fn start(
+        docker: &'a Docker,
+        testbed: &'a Testbed,
+        project: &'a Project,
+        signals: &'a Signals,
+    ) -> anyhow::Result<Self> {
+        let bar = new_bar(testbed.scenario.run.ttis, "{bar:12} {wide_msg}", false);
+        bar.set_message("starting the base station");
+        docker.start_bs(testbed, project)?;
+        let mut driver = Self {
+            docker,
+            testbed,
+            project,
+            signals,
+            bar,
+            bs: docker.container(project, BS_SERVICE)?,
+            bs_started_at: String::new(),
+            schedule: testbed.faults.iter().collect(),
+            restorations: Vec::new(),
+            reported: BTreeSet::new(),
+        };
+        // A complete run only prints its digest again; it needs no devices.
+        if driver.wait_for_clock()? {
+            // Before the devices, whose run can be over within a second.
+            driver.start_dashboard()?;
+            driver.bar.set_message(format!(
+                "starting {}",
+                count_noun(testbed.containers.len(), "container")
+            ));
+            docker.compose(project, &["up", "--detach", "--remove-orphans"])?;
+        }
+        Ok(driver)
+    }
+
+    /// Starts the dashboard, if the testbed has one, and prints its address. Each process of the base station needs a
+    /// new one, since a dashboard follows a run up to the end of that process.
+    fn start_dashboard(&self) -> anyhow::Result<()> {
+        if !self.testbed.config.dashboard {
+            return Ok(());
+        }
+        let command = ["up", "--detach", "--no-deps", "--force-recreate", DASHBOARD_SERVICE];
+        self.docker.compose(self.project, &command)?;
+        let dashboard = self.docker.container(self.project, DASHBOARD_SERVICE)?;
+        let started = crate::runtime::now();
+        while started.elapsed() < DASHBOARD_PATIENCE && !self.signals.has_arrived() {
+            if let Some(url) = self.docker.dashboard_url(&dashboard) {
+                note!("dashboard at {url}");
+                break;
+            }
+            std::thread::sleep(POLL_INTERVAL);
+        }
+        Ok(())
+    }
+
+    /// Waits until the clock of the base station has the first target. Returns false if the run is over, or after a
+    /// signal.
+    fn wait_for_clock(&mut self) -> anyhow::Result<bool> {
+        while !self.signals.has_arrived() {
+            let state = self.docker.bs_state(&self.bs)?;
+            if state.status == "exited" {
+                return Ok(false);
+            }
+            if let Some((_, tti)) = self.clock_status() {
+                self.bs_started_at = state.started_at;
+                while let Some(ScheduledFault { tti, fault }) = self.schedule.pop_front_if(|fault| fault.tti < tti) {
+                    note!("TTI {tti}: {fault}: skipped, since the run has passed this TTI");
+                }
+                if self.set_target().is_ok() {
+                    return Ok(true);
+                }
+            }
+            std::thread::sleep(POLL_INTERVAL);
+        }
+        Ok(false)
+    }
+
+    /// Lets the clock run to the next fault, or to the end.
+    fn set_target(&self) -> anyhow::Result<()> {
+        let tti = self.schedule.front().map(|fault| fault.tti.to_string());
+        let command = tti.as_deref().map_or(vec!["resume"], |tti| vec!["run-to", tti]);
+        self.docker.clock(&self.bs, &command).map(drop)
+    }
+
+    /// The clock's status line and TTI; `None` while the base station does not answer.
+    fn clock_status(&self) -> Option<(String, u64)> {
+        let line = self.docker.clock(&self.bs, &["status"]).ok()?;
+        let tti = tti_of_status(&line)?;
+        Some((line, tti))
+    }
+
+    /// Applies the faults until the base station has ended. Returns its exit code, `None` after a signal.
+    fn drive_to_end(&mut self) -> anyhow::Result<Option<u8>> {
+        let (mut has_target, mut is_restarted) = (true, false);
+        let services = self.testbed.services();
+        while !self.signals.has_arrived() {
+            let state = self.docker.bs_state(&self.bs)?;
+            if state.status == "exited" {
+                return Ok(Some(state.exit_code));
+            }
+            if state.started_at != self.bs_started_at {
+                // A restarted base station does not know the target of the earlier one.
+                self.bs_started_at = state.started_at;
+                (has_target, is_restarted) = (false, true);
+            }
+            if let Some((line, tti)) = self.clock_status() {
+                self.bar.set_position(tti);
+                self.bar.set_message(shorten_clock(&line, &services));
+                // Later than scheduled only after a restart of the base station.
+                let is_due =
+                    |fault: &ScheduledFault| tti > fault.tti || (tti == fault.tti && line.starts_with("paused"));
+                while let Some(scheduled) = self.schedule.pop_front_if(|fault| is_due(fault)) {
+                    self.apply(tti, &scheduled.fault)?;
+                    has_target = false;
+                }
+            }
+            if !has_target {
+                // The base station may be about to restart.
+                has_target = self.set_target().is_ok();
+                if has_target && is_restarted {
+                    is_restarted = false;
+                    self.start_dashboard()?;
+                }
+            }
+            self.end_due_faults(crate::runtime::now());
+            self.report_failures()?;
+            std::thread::sleep(POLL_INTERVAL);
+        }
+        Ok(None)
+    }
+
+    /// Reports each container that has failed by itself, such as one with an image of another version.
+    fn report_failures(&mut self) -> anyhow::Result<()> {
+        for container in self.docker.containers(self.project)? {
+            let failure = container.exit_code().filter(|code| !NO_FAILURES.contains(code));
+            if let Some(code) = failure
+                && self.reported.insert(container.service.clone())
+            {
+                let log = self.docker.last_log_lines(&container, "1")?;
+                note!("{} ended with exit code {code}: {log}", container.service);
+            }
+        }
+        Ok(())
+    }
+
+    fn apply(&mut self, tti: u64, fault: &Fault) -> anyhow::Result<()> {
+        self.docker.apply(self.testbed, self.project, fault)?;
+        note!("TTI {tti}: {fault}");
+        if let Some(duration) = fault.duration {
+            self.restorations
+                .push((crate::runtime::now() + duration, fault.restoration()));
+        }
+        Ok(())
+    }
+
+    /// Ends the faults whose time is over at `now`.
+    fn end_due_faults(&mut self, now: Instant) {
+        for (_, restoration) in self.restorations.extract_if(.., |(time, _)| *time <= now) {
+            match self.docker.end_fault(self.testbed, self.project, &restoration) {
+                Ok(()) => note!("{restoration}"),
+                Err(error) => tracing::warn!("{error:#}"),
+            }
+        }
+    }
+
+    /// Ends all faults that have an end, since a frozen container cannot be stopped, and removes the progress bar.
+    /// Returns the container of the base station.
+    fn finish(mut self) -> Container {
+        for (time, _) in &mut self.restorations {
+            *time = crate::runtime::now();
+        }
+        self.end_due_faults(crate::runtime::now());
+        self.bar.finish_and_clear();
+        self.bs
+    }
+}
+
+/// Returns the TTI in a line of `clock status`, such as `paused before TTI 9 of 60`.
+fn tti_of_status(line: &str) -> Option<u64> {
+    let (_, rest) = line.split_once("TTI ")?;
+    rest.split([' ', ',', ';']).next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_line_has_the_tti() {
+        for (line, tti) in [
+            ("running at TTI 12 of 400", Some(12)),
+            ("paused before TTI 400 of 400", Some(400)),
+            (
+                "joining before TTI 0 of 400, 20 of 50 devices so far; then paused",
+                Some(0),
+            ),
+            ("no run", None),
+        ] {
+            assert_eq!(tti_of_status(line), tti, "{line}");
+        }
+    }
+}
