@@ -1,7 +1,7 @@
 //! The run folder: the files that a run writes. The names and contents are documented in `docs/results.md`. `run`, `up`
 //! and `bs` create it, `run_reader` reads it.
 //!
-//! A new file needs an entry in `remove_run`. It also needs one in `RunFolder::reopen` if it must not survive the start
+//! A new file needs an entry in `RESULT_FILES`. It also needs one in `RunFolder::reopen` if it must not survive the start
 //! of a resumed run, and one in `PART_FILES` if `reveille_lab::io::replace` writes it.
 //!
 //! | file | content |
@@ -55,6 +55,17 @@ pub(crate) const WINDOWS_FILE: &str = "windows.csv";
 /// Indices of the two tables in [`TableWriter`], by their order in `begin_tables`.
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
+/// The files of a run, except the scenario and the running mark.
+const RESULT_FILES: [&str; 8] = [
+    SUMMARY_FILE,
+    LEARNED_FILE,
+    FAILED_FILE,
+    DEVICES_FILE,
+    EVENTS_FILE,
+    WINDOWS_FILE,
+    INPUT_LOG_FILE,
+    RESUME_MARK_FILE,
+];
 /// Part files that a run killed during a write may have left.
 const PART_FILES: [&str; 6] = [
     "inputs.log.part",
@@ -302,20 +313,16 @@ fn lock_and_clear(path: &Path, force: bool) -> anyhow::Result<FolderLock> {
     Ok(lock)
 }
 
+/// Whether a run writes or locks a file of this name in its folder.
+pub(crate) fn is_run_file(name: &str) -> bool {
+    let mut names = RESULT_FILES.into_iter().chain(PART_FILES);
+    [SCENARIO_FILE, scenario_files::FOLDER, RUNNING_FILE].contains(&name) || names.any(|own| own == name)
+}
+
 /// Removes the files of a run from a folder, except the running mark.
 fn remove_run(path: &Path) -> anyhow::Result<()> {
-    let files = [
-        SUMMARY_FILE,
-        LEARNED_FILE,
-        FAILED_FILE,
-        DEVICES_FILE,
-        EVENTS_FILE,
-        WINDOWS_FILE,
-        INPUT_LOG_FILE,
-        RESUME_MARK_FILE,
-    ];
     // scenario.toml goes last: a half-emptied folder must still count as a run, which --force may replace.
-    remove_files(path, files.into_iter().chain(PART_FILES).chain([SCENARIO_FILE]))?;
+    remove_files(path, RESULT_FILES.into_iter().chain(PART_FILES).chain([SCENARIO_FILE]))?;
     let files_folder = path.join(scenario_files::FOLDER);
     scenario_files::remove(path).with_context(|| format!("cannot replace {}", files_folder.display()))
 }

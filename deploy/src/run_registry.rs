@@ -26,6 +26,9 @@ struct RegistryEntry {
     endpoint: String,
     /// The process of the base station, which tells whether the entry is stale.
     pid: i32,
+    /// When that process started, in clock ticks since the machine's start, because pids are reused; other versions do
+    /// not write it.
+    start_ticks: Option<u64>,
     /// The run's key.
     key: Option<String>,
     /// The folder of certificates, if the endpoint needs one.
@@ -53,6 +56,8 @@ pub(crate) struct RunAddress {
     pub key: Option<Secret>,
     /// The folder of certificates, if known.
     pub tls: Option<PathBuf>,
+    /// Tells that the base station has ended on this machine, if it has.
+    end: Option<String>,
 }
 
 impl RunAddress {
@@ -60,14 +65,18 @@ impl RunAddress {
     /// folder has.
     ///
     /// # Errors
-    /// If the certificate cannot be used, or no base station answers.
+    /// If the certificate cannot be used, no base station answers, or it has ended.
     pub(crate) async fn connect(self, roles: &[Role], patience: Duration) -> anyhow::Result<Bus> {
         let files = tls::files_of_role(self.tls.as_deref(), roles)?;
         let endpoint = Endpoint {
             address: &self.endpoint,
             tls: files.as_ref(),
         };
-        Ok(Bus::connect(endpoint, self.run, patience).await?.with_key(self.key))
+        match (Bus::connect(endpoint, self.run, patience).await, self.end) {
+            (Ok(bus), _) => Ok(bus.with_key(self.key)),
+            (Err(_), Some(end)) => bail!(end),
+            (Err(err), None) => Err(err.into()),
+        }
     }
 }
 
@@ -109,6 +118,7 @@ pub(crate) fn register(
         run: run.to_string(),
         endpoint: local_endpoint(endpoint),
         pid,
+        start_ticks: running_process_start(pid),
         key: key.map(|key| key.to_string()),
         tls: tls.map(std::path::absolute).transpose()?,
         folder: Some(std::path::absolute(folder)?),
@@ -178,6 +188,7 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             endpoint: endpoint.clone(),
             run: run.clone(),
             tls: target.tls.clone(),
+            end: entries.ended.iter().find(is_target).map(RegistryEntry::describe_end),
         });
     }
     let is_target = |entry: &RegistryEntry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run);
@@ -190,6 +201,7 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             run: entry.run.parse()?,
             key: key.or_else(|| entry.key()),
             tls: target.tls.as_ref().or(entry.tls.as_ref()).cloned(),
+            end: None,
         }),
         [] if ended.len() == 1 => bail!("{}", ended[0].describe_end()),
         [] => match &target.run {
@@ -222,6 +234,12 @@ impl RegistryEntry {
         )
     }
 
+    /// Whether the base station's process runs.
+    fn is_live(&self) -> bool {
+        let start_ticks = running_process_start(self.pid);
+        start_ticks.is_some() && (self.start_ticks.is_none() || self.start_ticks == start_ticks)
+    }
+
     /// Whether the run has a folder without results.
     fn is_resumable(&self) -> bool {
         let folder = self.folder.as_deref();
@@ -249,7 +267,7 @@ fn read_entries() -> anyhow::Result<RegistryEntries> {
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         match entry {
-            Some(entry) if is_alive(entry.pid) => entries.live.push(entry),
+            Some(entry) if entry.is_live() => entries.live.push(entry),
             // A killed process leaves its entry behind.
             Some(entry) if entry.is_resumable() => entries.ended.push(entry),
             Some(_) => drop(fs::remove_file(&path)),
@@ -261,13 +279,16 @@ fn read_entries() -> anyhow::Result<RegistryEntries> {
     Ok(entries)
 }
 
-/// Whether a process runs. A zombie, which has ended and whose parent has not asked for its exit code, does not.
-fn is_alive(pid: i32) -> bool {
-    let exists = rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok());
-    // The state follows the name in parentheses, which can contain any characters.
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let state = stat.rsplit_once(')').map_or("", |(_, rest)| rest.trim_start());
-    exists && !state.starts_with(['Z', 'X'])
+/// When the process started, in clock ticks since the machine's start; `None` unless it runs. A zombie, which has ended
+/// and whose parent has not asked for its exit code, does not.
+fn running_process_start(pid: i32) -> Option<u64> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The fields from the third on follow the name in parentheses, which can contain any characters.
+    let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace();
+    let state = fields.next()?;
+    // The start time is field 22.
+    let start_ticks = fields.nth(18)?.parse().ok()?;
+    (!state.starts_with(['Z', 'X'])).then_some(start_ticks)
 }
 
 /// The folder of the entries, which only the current user can write to.

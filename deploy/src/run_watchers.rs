@@ -14,6 +14,7 @@ use crate::cli::OutputArgs;
 use crate::metrics_server::{self, MetricsServer};
 use crate::paths::check_output_path;
 use crate::recording::{RunRecording, is_growing};
+use crate::run_folder::is_run_file;
 
 /// The watchers that the command line requests.
 pub(crate) struct RunWatchers {
@@ -27,7 +28,7 @@ pub(crate) struct RunWatchers {
 /// Checks, before a run folder exists, that the watchers requested by `args` can be started.
 ///
 /// # Errors
-/// If the recording exists and must not be replaced, its folder is missing, or the metrics address is not available.
+/// If the recording exists and must not be replaced, has the name of a file of the run, its folder is missing, or the metrics address is not available.
 pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.record {
         let may_replace = args.force && path.is_file();
@@ -46,6 +47,13 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
         }
         // The run creates its folder before the recording.
         let is_in_run_folder = args.out.is_some() && path.parent() == args.out.as_deref();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if is_in_run_folder && is_run_file(&name) {
+            bail!(
+                "--record {}: the run folder has its own {name}; choose another name",
+                path.display()
+            );
+        }
         if !is_in_run_folder || path.is_dir() {
             check_output_path(path, "the recording")?;
         }

@@ -386,6 +386,12 @@ def check_refusals(project, image):
         assert cause in error, error
 
 
+def container_of(project, service):
+    """Returns the id of the container of a service, also of a stopped one."""
+    labels = [f"--filter=label=com.docker.compose.{key}={value}" for key, value in [("project", project), ("service", service)]]
+    return run("docker", "ps", "--all", "--quiet", *labels).stdout.strip()
+
+
 def made_testbed(testbed):
     """Makes a testbed of two classes with `reveille testbed`, one of them behind a slow link, and runs it with a schedule of
     faults and the dashboard. The first `up` is interrupted, the second one resumes the run."""
@@ -413,6 +419,10 @@ def made_testbed(testbed):
                     if len(dashboards) == 1:
                         # The base station runs; after TTI 300 it would be down.
                         check_refusals(name, image)
+                        # Neither a second `up` nor a resumed clock disturbs the schedule.
+                        second = run(reveille, "testbed", "up", out, check=False)
+                        assert second.returncode == 1 and "another `reveille testbed up`" in second.stderr, second.stderr
+                        run("docker", "exec", container_of(name, "bs"), "reveille", "clock", "resume")
                 if line.startswith("TTI 500"):
                     interrupted.send_signal(signal.SIGINT)
             assert interrupted.wait() == 130 and len(dashboards) == 2, notes
@@ -431,8 +441,7 @@ def made_testbed(testbed):
             expected = run(reveille, "run", *scenario, "--input-log", str(actions), "--quiet", "--json", "--out", f"{folder}/out")
             assert summary["digest"] == json.loads(expected.stdout)["digest"], "another digest than in memory"
             assert summary["timing"]["losses"] >= 1 and summary["timing"]["hosts"] == 4, summary["timing"]
-            limits = run("docker", "ps", "--all", "--quiet", "--filter", label, "--filter", "label=com.docker.compose.service=weak-1").stdout.strip()
-            assert inspect(limits, "{{.HostConfig.Memory}} {{.HostConfig.NanoCpus}}") == f"{64 << 20} 500000000"
+            assert inspect(container_of(name, "weak-1"), "{{.HostConfig.Memory}} {{.HostConfig.NanoCpus}}") == f"{64 << 20} 500000000"
             status = run(reveille, "testbed", "status", out).stdout
             assert status.startswith(f"{name}: the run is over\n") and status.count("Exited (0)") == 6, status
             assert all(len(line) <= 110 for line in status.splitlines()), status

@@ -284,6 +284,10 @@ fn a_recording_is_found_in_its_run_folder() {
         1,
         &["a: the folder holds no recording", "--record a/run.mcap"],
     );
+    for name in ["events.csv", "scenario.toml"] {
+        let refused = folder.run(&format!("run -k 100 --out new --record new/{name}"));
+        assert_refused(&refused, 1, &["--record new/", "the run folder has its own"]);
+    }
     run(&folder, "b", "--record a/run.mcap");
     for command in ["verify a", "stats a", "tail a -c 1", "export a --to csv"] {
         let finished = folder.run(&format!("inspect {command}"));

@@ -68,6 +68,12 @@ fn an_ended_base_station_is_reported_with_the_command_that_resumes_its_run() {
         });
         assert_refused(&finished, 1, &[&format!("run {run}: its base station"), &hint]);
     }
+    // The pid has been given to another process since: this one.
+    let mut of_reused_pid = entry.clone();
+    of_reused_pid["pid"] = std::process::id().into();
+    folder.write(&entry_path, &of_reused_pid.to_string());
+    assert_refused(&folder.run("clock status"), 1, &["its base station", &hint]);
+    folder.write(&entry_path, &entry.to_string());
     up.finish();
     let resumed = folder.run(&format!("up --resume out -P 1 --quiet --run {run}"));
     assert!(resumed.is_success(), "{resumed}");

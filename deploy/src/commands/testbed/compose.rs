@@ -85,8 +85,11 @@ const BS: &str = "  bs:
       - key:/key
       - tls-bs:/tls/bs:ro
       - tls-operator:/tls/operator:ro
-    # Any free port of this machine, only for programs on it.
-    ports: [\"127.0.0.1::7447\"]
+";
+
+/// The port of the base station without TLS: any free one of this machine, only for programs on it. With TLS, they would
+/// need a certificate.
+const BS_PORT: &str = "    ports: [\"127.0.0.1::7447\"]
 ";
 
 /// The dashboard.
@@ -231,6 +234,9 @@ pub(super) fn compose_text(testbed: &Testbed) -> String {
         text += &fill(CERTIFICATES, &[("NAMES", &names.concat())]);
     }
     text += &fill(BS, &[("PACE", &config.pace)]);
+    if !config.tls {
+        text += BS_PORT;
+    }
     if config.dashboard {
         text += &fill(DASHBOARD, &[]);
     }

@@ -18,6 +18,9 @@ pub(super) const CONFIG_FILE: &str = "testbed.toml";
 /// Containers of a new testbed, if its scenario has no more classes.
 const DEFAULT_CONTAINERS: usize = 5;
 
+/// Fewest bytes of a container's memory that Docker accepts.
+const MIN_MEMORY: u64 = 6 << 20;
+
 /// The content of `testbed.toml`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -254,6 +257,20 @@ impl ClassConfig {
             if !is_size {
                 return Err(format!("memory {memory}: must be a number of bytes, such as 64m or 1g"));
             }
+            let unit = match memory.as_bytes().last() {
+                Some(b'k') => 1 << 10,
+                Some(b'm') => 1 << 20,
+                Some(b'g') => 1 << 30,
+                _ => 1,
+            };
+            let bytes = digits
+                .parse::<u64>()
+                .map_or(u64::MAX, |number| number.saturating_mul(unit));
+            if bytes < MIN_MEMORY {
+                return Err(format!(
+                    "memory {memory}: must be at least 6m, which the engine demands"
+                ));
+            }
         }
         if let Some(delay) = &self.delay {
             parse_duration(delay).map_err(|cause| format!("delay {delay}: {cause}"))?;
@@ -322,6 +339,11 @@ fn containers_by_class(items: &[String], names: &[&str], class_sizes: &[usize]) 
         [total] => parse(total)?,
         [_, other, ..] => bail!("--containers {other}: a second number for all classes; use CLASS=NUMBER"),
     };
+    let devices: usize = class_sizes.iter().sum();
+    ensure!(
+        totals.is_empty() || total <= devices,
+        "--containers {total}: must be at most {devices}, the number of devices"
+    );
     let mut containers = distribute(total, class_sizes);
     let given = values_by_class("--containers", &by_class, names)?;
     for (number, text) in containers.iter_mut().zip(&given) {

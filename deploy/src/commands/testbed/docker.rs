@@ -6,6 +6,7 @@ use std::io::ErrorKind;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode, Output, Stdio};
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail, ensure};
 
@@ -16,6 +17,10 @@ use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
 use crate::cli::FaultKind;
 use crate::display::shell_word;
 
+/// Time between two looks at the containers.
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Longest wait until the engine has started a container again before a fault.
+const RESTART_PATIENCE: Duration = Duration::from_secs(10);
 /// Processor cores of a slow container.
 const SLOW_CPUS: &str = "0.05";
 
@@ -43,9 +48,17 @@ pub(super) struct Container {
     pub service: String,
     /// Its state and for how long, such as `Up 5 seconds (healthy)`.
     pub status: String,
+    /// Whether it is on a network.
+    pub is_connected: bool,
 }
 
 impl Container {
+    /// Its state, for users.
+    pub(super) fn state(&self) -> String {
+        let cut_off = self.status.starts_with("Up") && !self.is_connected;
+        format!("{}{}", self.status, if cut_off { ", disconnected" } else { "" })
+    }
+
     /// Checks that it can be disturbed.
     fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
         let Self { service, status, .. } = self;
@@ -180,7 +193,10 @@ impl Docker {
         })
     }
 
-    /// Checks that the engine has the image.
+    /// Checks that the engine has the image, with a Reveille of this version.
+    ///
+    /// # Errors
+    /// If it has not.
     pub(super) fn check_image(&self, image: &str) -> anyhow::Result<()> {
         let found = self.output(&["image", "inspect", image])?.status.success();
         ensure!(
@@ -188,13 +204,22 @@ impl Docker {
             "image {image}: not found; build it in a clone of Reveille with `docker compose build bs` (see \
              deploy/docker/README.md), or name another image in testbed.toml"
         );
+        let own = format!("reveille {}", env!("CARGO_PKG_VERSION"));
+        let version = self.run(&["run", "--rm", "--network=none", image, "--version"]);
+        let version =
+            version.map_err(|error| anyhow!("image {image}: it cannot run `reveille --version`: {error:#}"))?;
+        let first_line = version.lines().next().unwrap_or_default();
+        ensure!(
+            first_line.starts_with(&own),
+            "image {image}: it has {first_line:?}, and this program is {own}; build the image from the same version"
+        );
         Ok(())
     }
 
     /// The containers of `project`, stopped ones too.
     pub(super) fn containers(&self, project: &Project) -> anyhow::Result<Vec<Container>> {
         let filter = format!("label=com.docker.compose.project={}", project.name);
-        let form = "{{.ID}}\t{{.Label \"com.docker.compose.service\"}}\t{{.Status}}";
+        let form = "{{.ID}}\t{{.Label \"com.docker.compose.service\"}}\t{{.Status}}\t{{.Networks}}";
         let list = self.run(&["ps", "--all", "--filter", &filter, "--format", form])?;
         let parse = |line: &str| {
             let mut cells = line.split('\t').map(str::to_owned);
@@ -202,6 +227,7 @@ impl Docker {
                 id: cells.next()?,
                 service: cells.next()?,
                 status: cells.next()?,
+                is_connected: !cells.next()?.is_empty(),
             })
         };
         Ok(list.lines().filter_map(parse).collect())
@@ -239,6 +265,21 @@ impl Docker {
             let folder = shell_word(&project.folder);
             format!("{service}: no such container; start the testbed with `reveille testbed up {folder}`")
         })
+    }
+
+    /// The container of a service, once the engine has started it again after a failure.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    fn started_container(&self, project: &Project, service: &str) -> anyhow::Result<Container> {
+        let began = crate::runtime::now();
+        loop {
+            let container = self.container(project, service)?;
+            if !container.status.starts_with("Restarting") || began.elapsed() > RESTART_PATIENCE {
+                return Ok(container);
+            }
+            std::thread::sleep(POLL_INTERVAL);
+        }
     }
 
     /// The state of the base station's container.
@@ -310,7 +351,7 @@ impl Docker {
     /// # Errors
     /// If the container does not exist, or is not in a state for the fault.
     pub(super) fn apply(&self, testbed: &Testbed, project: &Project, fault: &Fault) -> anyhow::Result<()> {
-        let container = self.container(project, &fault.container)?;
+        let container = self.started_container(project, &fault.container)?;
         let id = container.id.as_str();
         let network = format!("{}_{NETWORK}", project.name);
         if fault.kind != FaultKind::Restore {
@@ -493,6 +534,7 @@ mod tests {
                 id: String::new(),
                 service: String::new(),
                 status: status.to_owned(),
+                is_connected: true,
             };
             assert_eq!(container.exit_code(), exit_code, "{status}");
         }

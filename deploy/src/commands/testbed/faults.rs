@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 
-use super::placement::BS_SERVICE;
+use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
 use crate::cli::{FaultKind, parse_duration};
 
 /// A fault of one container.
@@ -62,6 +62,12 @@ impl Fault {
         })
     }
 
+    /// Whether the run waits for the container until the fault ends. It does not wait for the dashboard.
+    pub(super) fn halts_run(&self) -> bool {
+        let cuts_off = matches!(self.kind, FaultKind::Pause | FaultKind::Disconnect | FaultKind::Stop);
+        cuts_off && self.container != DASHBOARD_SERVICE
+    }
+
     /// The fault that ends this one.
     pub(super) fn restoration(&self) -> Self {
         Self {
@@ -112,6 +118,11 @@ fn parse_line(words: &[&str], ttis: u64, containers: &[String]) -> Result<Schedu
         .map(|text| parse_duration(text).map_err(|cause| format!("`{text}` {cause}")))
         .transpose()?;
     let fault = Fault::new(kind, container, duration, containers)?;
+    if fault.duration.is_none() && fault.halts_run() {
+        return Err(format!(
+            "{fault} needs a duration, such as `for 5s`: the run would wait for {container} before the next line"
+        ));
+    }
     Ok(ScheduledFault { tti, fault })
 }
 
@@ -182,6 +193,7 @@ mod tests {
             ("500 kill weak-1 for 5s", "kill takes no duration: the engine starts"),
             ("500 stop bs", "stop bs: would end the run; use kill"),
             ("500 restore bs for 5s", "restore takes no duration"),
+            ("500 pause bs", "pause bs needs a duration, such as `for 5s`"),
         ] {
             let refusal = parse_schedule([(2, ""), (7, line)], 1000, &containers()).expect_err(line);
             assert!(refusal.starts_with(&format!("line 7: {cause}")), "{line}: {refusal}");

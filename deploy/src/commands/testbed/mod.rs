@@ -23,7 +23,7 @@ use anyhow::{Context, ensure};
 
 use self::compose::write_compose;
 use self::config::{CONFIG_FILE, TestbedConfig};
-use self::docker::{Docker, Project, shorten_clock};
+use self::docker::{Container, Docker, POLL_INTERVAL, Project, shorten_clock};
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
 use self::placement::{BS_SERVICE, DASHBOARD_SERVICE};
@@ -56,6 +56,9 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
             follow,
         } => {
             let (docker, project) = find_project(folder)?;
+            if let Some(service) = container {
+                docker.container(&project, service)?;
+            }
             let options = follow.then_some("--follow").into_iter().chain(container.as_deref());
             let command = [&["logs"][..], &options.collect::<Vec<_>>()].concat();
             return docker.compose_in_foreground(&project, &command);
@@ -107,6 +110,13 @@ fn init(args: &TestbedInitArgs) -> anyhow::Result<()> {
     };
     write_all().with_context(|| format!("cannot write {}", args.out.display()))?;
     files.check(&args.out.join(SCENARIO_FILE), &testbed.scenario)?;
+    let folder_name = args.out.file_name().unwrap_or_default().to_string_lossy();
+    if testbed.config.name != folder_name {
+        note!(
+            "the name of the testbed is {}, since {folder_name:?} cannot name a compose project",
+            testbed.config.name
+        );
+    }
     note!(
         "wrote {}: {} in {}; run it with `reveille testbed up {}`",
         config_path.display(),
@@ -139,6 +149,10 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
     let clock = match bs {
         None => "not started".to_owned(),
         Some(bs) if bs.status.starts_with("Exited (0)") => "the run is over".to_owned(),
+        Some(bs) if bs.status.starts_with("Exited") => {
+            let folder = shell_word(&testbed.folder);
+            format!("stopped; continue with `reveille testbed up {folder}`")
+        }
         Some(bs) => {
             let clock = docker.clock(bs, &["status"]);
             clock.unwrap_or_else(|_| "the base station does not answer".to_owned())
@@ -150,7 +164,7 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
     let width = services.iter().map(String::len).max().unwrap_or_default();
     for service in services {
         let container = containers.iter().find(|container| container.service == service);
-        let state = container.map_or("not created", |container| &container.status);
+        let state = container.map_or_else(|| "not created".to_owned(), Container::state);
         let memory = container.and_then(|container| memory.get(&container.id));
         let own = testbed.containers.iter().find(|other| other.service == service);
         let devices = own.map_or_else(String::new, |own| {
@@ -170,7 +184,7 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
         .find(|container| container.service == DASHBOARD_SERVICE);
     if let Some(url) = dashboard.and_then(|dashboard| docker.dashboard_url(dashboard)) {
         let _infallible = writeln!(text, "dashboard at {url}");
-    } else if testbed.config.tls && !testbed.config.dashboard {
+    } else if testbed.config.tls && !testbed.config.dashboard && bs.is_some_and(|bs| bs.status.starts_with("Up")) {
         let _infallible = writeln!(
             text,
             "to watch: set `dashboard = true` in {CONFIG_FILE}, and repeat `testbed up`"
@@ -191,11 +205,15 @@ fn disturb(testbed: &Testbed, fault: &Fault) -> anyhow::Result<ExitCode> {
     docker.apply(testbed, &project, fault)?;
     note!("{fault}");
     let Some(duration) = fault.duration else {
+        if fault.halts_run() {
+            let (folder, container) = (shell_word(&testbed.folder), &fault.container);
+            note!("the run waits for {container} until `reveille testbed fault {folder} restore {container}`");
+        }
         return Ok(ExitReason::Done.into());
     };
     let started = crate::runtime::now();
     while started.elapsed() < duration && !signals.has_arrived() {
-        std::thread::sleep(up::POLL_INTERVAL.min(duration.saturating_sub(started.elapsed())));
+        std::thread::sleep(POLL_INTERVAL.min(duration.saturating_sub(started.elapsed())));
     }
     let restore = fault.restoration();
     docker.end_fault(testbed, &project, &restore)?;

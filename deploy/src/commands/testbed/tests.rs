@@ -209,7 +209,13 @@ fn settings_equal_the_compose_file_of_the_repository() {
 fn the_certificate_has_the_names_of_the_links() {
     let links = testbed(&format!("-s {TWO_CLASSES} --delay weak=20ms")).expect("valid");
     let words = ["tls", "init", "/tls", "--renew", "--name=bs", "--name=weak-link"].map(Value::from);
-    assert_eq!(services(&links)["certificates"]["command"], Value::from(words.to_vec()));
+    let services = services(&links);
+    assert_eq!(services["certificates"]["command"], Value::from(words.to_vec()));
+    assert_eq!(
+        services["bs"].get("ports"),
+        None,
+        "no program outside has a certificate"
+    );
 }
 
 #[test]
@@ -220,6 +226,10 @@ fn a_testbed_without_tls_has_nothing_of_it() {
     let services = services(&testbed);
     let targets = ["weak-1", "strong-1", "dashboard"].map(|name| option(&services[name], "connect"));
     assert_eq!(targets, ["tcp/weak-link:7447", "tcp/bs:7447", "tcp/bs:7447"].map(Some));
+    assert_eq!(
+        services["bs"]["ports"],
+        Value::from(vec![Value::from("127.0.0.1::7447")])
+    );
     assert_eq!(testbed.services()[..3], ["bs", "dashboard", "weak-link"]);
 }
 
@@ -325,7 +335,7 @@ fn the_description_is_read_back_unchanged() {
     ];
     let read: TestbedConfig = toml::from_str(&config.to_toml()).expect("valid");
     assert_eq!(read, config);
-    let undeclared = testbed("-n 7 --containers 9").expect("valid");
+    let undeclared = testbed("-n 7 --containers 7").expect("valid");
     assert_eq!(
         (undeclared.containers.len(), undeclared.containers[0].service.as_str()),
         (7, "device-1")
@@ -355,6 +365,14 @@ fn invalid_options_are_named_with_their_cause() {
         (
             "--containers weak=81",
             "class weak: containers 81: must be from 1 to 80",
+        ),
+        (
+            "--containers 101",
+            "--containers 101: must be at most 100, the number of devices",
+        ),
+        (
+            "--memory 6143k",
+            "class weak: memory 6143k: must be at least 6m, which the engine demands",
         ),
         ("--containers 2,3", "--containers 3: a second number for all classes"),
         ("--image a$b", "image \"a$b\": not the name of an image"),

@@ -3,6 +3,8 @@
 //! not change the digest. After an interruption, the same command resumes the run.
 
 use std::collections::{BTreeSet, VecDeque};
+use std::fs::{File, TryLockError};
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -10,7 +12,7 @@ use anyhow::{Context, bail, ensure};
 use indicatif::ProgressBar;
 
 use super::compose::{RESULTS_FOLDER, write_compose};
-use super::docker::{Container, Docker, Project, shorten_clock};
+use super::docker::{Container, Docker, POLL_INTERVAL, Project, shorten_clock};
 use super::faults::{Fault, ScheduledFault};
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
@@ -20,9 +22,7 @@ use crate::display::{count_noun, new_bar, note, print_stdout, shell_word};
 use crate::exit::{ExitReason, Interrupted};
 use crate::signals::{SignalMode, Signals};
 
-/// Time between two looks at the containers.
-pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(200);
-/// Longest wait for the address of the dashboard.
+/// Longest wait for the address of the dashboard before the devices start.
 const DASHBOARD_PATIENCE: Duration = Duration::from_secs(20);
 /// Lines of the base station's log that the error of a failed run shows.
 const LOG_LINES: &str = "5";
@@ -38,6 +38,7 @@ pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
         "--detach: only a running `testbed up` can apply the schedule; leave out --detach, or remove the faults from \
          testbed.toml"
     );
+    let _lock = lock_folder(&testbed.folder)?;
     let docker = Docker::find()?;
     let project = Project::of(&testbed);
     docker.check_image(&testbed.config.image)?;
@@ -75,11 +76,30 @@ pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
     // The base station names the folder in its container.
     let printed = docker.results_printed_by(&bs)?;
     let inner_folder = format!("{RESULTS_FOLDER}/{}", project.name);
+    let in_command = format!("misses {inner_folder}");
+    let printed = printed.replace(&in_command, &format!("misses {}", shell_word(&results)));
     print_stdout(&(printed.replace(&inner_folder, &results.display().to_string()) + "\n"))?;
     if args.check {
         check_digest(&testbed, &results)?;
     }
     Ok(ExitReason::Done.into())
+}
+
+/// Locks the folder of a testbed until the returned file is closed, also by the death of this process.
+///
+/// # Errors
+/// If another `testbed up` has locked it.
+fn lock_folder(folder: &Path) -> anyhow::Result<File> {
+    let file = File::open(folder).with_context(|| folder.display().to_string())?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => bail!(
+            "{}: another `reveille testbed up` runs this testbed; `reveille testbed status {}` shows it",
+            folder.display(),
+            shell_word(folder)
+        ),
+        Err(TryLockError::Error(error)) => Err(error).with_context(|| folder.display().to_string()),
+    }
 }
 
 /// A testbed that runs.
@@ -98,6 +118,8 @@ struct Driver<'a> {
     restorations: Vec<(Instant, Fault)>,
     /// Containers whose failure was reported.
     reported: BTreeSet<String>,
+    /// The dashboard, until its address is printed.
+    starting_dashboard: Option<Container>,
 }
 
 impl<'a> Driver<'a> {
@@ -122,11 +144,13 @@ impl<'a> Driver<'a> {
             schedule: testbed.faults.iter().collect(),
             restorations: Vec::new(),
             reported: BTreeSet::new(),
+            starting_dashboard: None,
         };
         // A complete run only prints its digest again; it needs no devices.
         if driver.wait_for_clock()? {
             // Before the devices, whose run can be over within a second.
             driver.start_dashboard()?;
+            driver.wait_for_dashboard();
             driver.bar.set_message(format!(
                 "starting {}",
                 count_noun(testbed.containers.len(), "container")
@@ -136,24 +160,34 @@ impl<'a> Driver<'a> {
         Ok(driver)
     }
 
-    /// Starts the dashboard, if the testbed has one, and prints its address. Each process of the base station needs a
-    /// new one, since a dashboard follows a run up to the end of that process.
-    fn start_dashboard(&self) -> anyhow::Result<()> {
+    /// Starts the dashboard, if the testbed has one. Each process of the base station needs a new one, since a dashboard
+    /// follows a run up to the end of that process.
+    fn start_dashboard(&mut self) -> anyhow::Result<()> {
         if !self.testbed.config.dashboard {
             return Ok(());
         }
         let command = ["up", "--detach", "--no-deps", "--force-recreate", DASHBOARD_SERVICE];
         self.docker.compose(self.project, &command)?;
-        let dashboard = self.docker.container(self.project, DASHBOARD_SERVICE)?;
-        let started = crate::runtime::now();
-        while started.elapsed() < DASHBOARD_PATIENCE && !self.signals.has_arrived() {
-            if let Some(url) = self.docker.dashboard_url(&dashboard) {
-                note!("dashboard at {url}");
-                break;
-            }
+        self.starting_dashboard = Some(self.docker.container(self.project, DASHBOARD_SERVICE)?);
+        Ok(())
+    }
+
+    /// Waits until the new dashboard serves, but not for ever.
+    fn wait_for_dashboard(&mut self) {
+        let began = crate::runtime::now();
+        while self.starting_dashboard.is_some() && began.elapsed() < DASHBOARD_PATIENCE && !self.signals.has_arrived() {
+            self.report_dashboard();
             std::thread::sleep(POLL_INTERVAL);
         }
-        Ok(())
+    }
+
+    /// Prints the address of a new dashboard once it serves.
+    fn report_dashboard(&mut self) {
+        let url = |dashboard: &mut Container| self.docker.dashboard_url(dashboard);
+        if let Some(url) = self.starting_dashboard.as_mut().and_then(url) {
+            note!("dashboard at {url}");
+            self.starting_dashboard = None;
+        }
     }
 
     /// Waits until the clock of the base station has the first target. Returns false if the run is over, or after a
@@ -209,22 +243,30 @@ impl<'a> Driver<'a> {
             if let Some((line, tti)) = self.clock_status() {
                 self.bar.set_position(tti);
                 self.bar.set_message(shorten_clock(&line, &services));
-                // Later than scheduled only after a restart of the base station.
+                // Later than scheduled after a restart of the base station, or if somebody lets the clock run past it.
                 let is_due =
                     |fault: &ScheduledFault| tti > fault.tti || (tti == fault.tti && line.starts_with("paused"));
                 while let Some(scheduled) = self.schedule.pop_front_if(|fault| is_due(fault)) {
-                    self.apply(tti, &scheduled.fault)?;
+                    self.apply(tti, scheduled)?;
                     has_target = false;
                 }
+                // Somebody has given the clock another target, such as with `clock resume`.
+                let runs_past = |fault: &ScheduledFault| stop_of_status(&line).is_none_or(|stop| stop > fault.tti);
+                let next_is_missed = self.schedule.front().is_some_and(|fault| runs_past(fault));
+                has_target &= !(line.starts_with("running") && next_is_missed);
             }
             if !has_target {
                 // The base station may be about to restart.
                 has_target = self.set_target().is_ok();
                 if has_target && is_restarted {
                     is_restarted = false;
-                    self.start_dashboard()?;
+                    // Without a dashboard, the run and its faults go on.
+                    if let Err(error) = self.start_dashboard() {
+                        note!("the dashboard did not start: {error:#}");
+                    }
                 }
             }
+            self.report_dashboard();
             self.end_due_faults(crate::runtime::now());
             self.report_failures()?;
             std::thread::sleep(POLL_INTERVAL);
@@ -246,9 +288,14 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    fn apply(&mut self, tti: u64, fault: &Fault) -> anyhow::Result<()> {
+    fn apply(&mut self, tti: u64, scheduled: &ScheduledFault) -> anyhow::Result<()> {
+        let fault = &scheduled.fault;
         self.docker.apply(self.testbed, self.project, fault)?;
-        note!("TTI {tti}: {fault}");
+        if tti == scheduled.tti {
+            note!("TTI {tti}: {fault}");
+        } else {
+            note!("TTI {tti}: {fault}, late: scheduled for TTI {}", scheduled.tti);
+        }
         if let Some(duration) = fault.duration {
             self.restorations
                 .push((crate::runtime::now() + duration, fault.restoration()));
@@ -284,6 +331,11 @@ fn tti_of_status(line: &str) -> Option<u64> {
     rest.split([' ', ',', ';']).next()?.parse().ok()
 }
 
+/// Returns the TTI before which the clock stops, in a line such as `running at TTI 9 of 60, to stop before TTI 12`.
+fn stop_of_status(line: &str) -> Option<u64> {
+    tti_of_status(line.split_once("to stop before ")?.1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -301,5 +353,21 @@ mod tests {
         ] {
             assert_eq!(tti_of_status(line), tti, "{line}");
         }
+        for (line, stop) in [
+            ("running at TTI 12 of 400", None),
+            ("running at TTI 12 of 400, to stop before TTI 15", Some(15)),
+        ] {
+            assert_eq!(stop_of_status(line), stop, "{line}");
+        }
+    }
+
+    #[test]
+    fn only_one_program_runs_a_testbed() {
+        let folder = tempfile::tempdir().expect("writable");
+        let lock = lock_folder(folder.path()).expect("free");
+        let refusal = lock_folder(folder.path()).expect_err("locked").to_string();
+        assert!(refusal.contains("another `reveille testbed up`"), "{refusal}");
+        drop(lock);
+        lock_folder(folder.path()).expect("free again");
     }
 }
