@@ -243,14 +243,14 @@ impl<'a> Driver<'a> {
             if let Some((line, tti)) = self.clock_status() {
                 self.bar.set_position(tti);
                 self.bar.set_message(shorten_clock(&line, &services));
-                // Later than scheduled after a restart of the base station, or if somebody lets the clock run past it.
+                // It can be later than scheduled: after a restart of the base station, or after `clock resume`.
                 let is_due =
                     |fault: &ScheduledFault| tti > fault.tti || (tti == fault.tti && line.starts_with("paused"));
                 while let Some(scheduled) = self.schedule.pop_front_if(|fault| is_due(fault)) {
                     self.apply(tti, scheduled)?;
                     has_target = false;
                 }
-                // Somebody has given the clock another target, such as with `clock resume`.
+                // `clock resume` and other commands of users replace the target.
                 let runs_past = |fault: &ScheduledFault| stop_of_status(&line).is_none_or(|stop| stop > fault.tti);
                 let next_is_missed = self.schedule.front().is_some_and(|fault| runs_past(fault));
                 has_target &= !(line.starts_with("running") && next_is_missed);
@@ -260,7 +260,7 @@ impl<'a> Driver<'a> {
                 has_target = self.set_target().is_ok();
                 if has_target && is_restarted {
                     is_restarted = false;
-                    // Without a dashboard, the run and its faults go on.
+                    // The run and its faults do not need it.
                     if let Err(error) = self.start_dashboard() {
                         note!("the dashboard did not start: {error:#}");
                     }
