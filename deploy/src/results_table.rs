@@ -224,7 +224,7 @@ fn format_classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
     table
         .load_style(UTF8_FULL_CONDENSED)
         .set_header(std::iter::once("by class".to_owned()).chain(names));
-    let by_device = Metrics::ALL.iter().filter(|metric| metric.group.is_by_device());
+    let by_device = Metrics::ALL.iter().filter(|metric| metric.is_by_device());
     for metric in by_device.filter(|metric| rows == Rows::All || MAIN_METRICS.contains(&metric.name)) {
         let values = classes.iter().map(|class| {
             class

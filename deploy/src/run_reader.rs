@@ -62,13 +62,17 @@ impl RunReader {
         }
         let scenario = load_with_external(&scenario_file.to_string_lossy(), &[])?.scenario;
         let summary_file = path.join(SUMMARY_FILE);
-        let summary = match fs::read(&summary_file) {
-            Ok(text) => Some(
-                serde_json::from_slice(&text)
-                    .with_context(|| format!("{}: invalid summary; repeat the run", summary_file.display()))?,
-            ),
-            Err(_) => None,
-        };
+        let summary: Option<Value> =
+            match fs::read(&summary_file) {
+                Ok(text) => {
+                    let summary = serde_json::from_slice(&text).ok();
+                    let has_metrics = |summary: &Value| summary["metrics"].is_object();
+                    Some(summary.filter(has_metrics).with_context(|| {
+                        format!("{}: not the summary of a run; repeat the run", summary_file.display())
+                    })?)
+                }
+                Err(_) => None,
+            };
         Ok(Self {
             path: path.to_owned(),
             scenario,

@@ -85,7 +85,7 @@ impl<'a> ClassSummary<'a> {
             let device_metrics = Metrics::ALL
                 .iter()
                 .zip(rows)
-                .filter(|(metric, _)| metric.group.is_by_device());
+                .filter(|(metric, _)| metric.is_by_device());
             Self {
                 name,
                 n: record.devices,

@@ -173,6 +173,12 @@ impl NameCheck<'_, '_> {
         let is_policy = self.declaration.registered.iter().any(|word| word.name == name);
         let hint = if is_policy {
             format!("; the policy `{name}` has no fields")
+        } else if elsewhere.len() > 1 {
+            // Each fits equally well, such as the prices of several policies.
+            format!(
+                "; did you mean one of {}?",
+                quoted_list(elsewhere.iter().map(String::as_str))
+            )
         } else {
             did_you_mean(name, candidates)
         };

@@ -104,7 +104,7 @@ pub struct DeviceRecord {
 pub struct ClassRecord {
     /// The number of devices.
     pub devices: u64,
-    /// The metrics of the class; only those about devices ([`super::MetricGroup::is_by_device`]) are meaningful.
+    /// The metrics of the class; only those about devices ([`super::Metric::is_by_device`]) are meaningful.
     pub metrics: Metrics,
     /// The activity of its devices during the counted events.
     pub activity: EventActivity,

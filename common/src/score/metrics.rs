@@ -36,14 +36,6 @@ impl MetricGroup {
             Self::Radio => "radio",
         }
     }
-
-    /// Whether its metrics can be computed for a subset of the devices.
-    pub const fn is_by_device(self) -> bool {
-        match self {
-            Self::Energy | Self::Batteries => true,
-            Self::Events | Self::Radio => false,
-        }
-    }
 }
 
 /// The description of a metric.
@@ -61,6 +53,13 @@ pub struct Metric {
     pub meaning: &'static str,
     /// Whether the mean may be 0 while the values are not, so that an interval relative to the mean is meaningless.
     pub is_difference: bool,
+}
+
+impl Metric {
+    /// Whether it can be computed for a subset of the devices. Information belongs to events, not to devices.
+    pub fn is_by_device(&self) -> bool {
+        matches!(self.group, MetricGroup::Energy | MetricGroup::Batteries) && self.name != "info_per_energy"
+    }
 }
 
 struct MetricInputs<'t> {

@@ -48,7 +48,8 @@ pub(crate) enum FeedOrigin<'a> {
 /// A run that many clients can view.
 pub(crate) struct Feed {
     /// The largest E_max of all devices.
-    largest_e_max: Energy,
+    /// Battery capacity by device.
+    e_max: Vec<Energy>,
     /// The part of the data that is constant during the run, as JSON.
     about: Value,
     /// The group of each device, if the policy has groups.
@@ -132,11 +133,7 @@ impl Feed {
             }
             FeedOrigin::OtherRun => None,
         };
-        let e_max: Vec<f64> = deployment
-            .devices
-            .iter()
-            .map(|device| device.energy.e_max.units())
-            .collect();
+        let e_max: Vec<Energy> = deployment.devices.iter().map(|device| device.energy.e_max).collect();
         let about = json!({
             "run": run,
             "policy": scenario.policy.name(),
@@ -150,7 +147,7 @@ impl Feed {
             "positions": positions,
             "cells": voronoi_cells(&positions, scenario.area),
             "groups": groups,
-            "e_max": e_max,
+            "e_max": e_max.iter().map(|energy| energy.units()).collect::<Vec<_>>(),
             "classes": scenario.classes.iter().map(|class| &class.name).collect::<Vec<_>>(),
             "device_classes": deployment.classes,
             "path": path,
@@ -160,9 +157,8 @@ impl Feed {
             "compared": compared.is_some(),
         });
         let max_ttis = if is_live { MAX_LIVE_TTIS } else { u64::MAX };
-        let largest_e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
         Arc::new(Self {
-            largest_e_max: largest_e_max.unwrap_or(Energy::ZERO),
+            e_max,
             about,
             groups,
             state: Mutex::new(FeedState {
@@ -400,7 +396,7 @@ impl Feed {
     pub(super) fn timeline(&self, request: &TimelineRequest) -> Option<Vec<u8>> {
         // Only the copy holds the lock. The states are computed without it.
         let span = self.timeline.copy_span(&self.lock().history, request)?;
-        Some(self.timeline.encode(request, span, self.largest_e_max))
+        Some(self.timeline.encode(request, span, &self.e_max))
     }
 
     /// Number of devices N.
@@ -417,10 +413,12 @@ impl Feed {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The batteries, two hexadecimal digits per device: 00 to ff of the largest E_max.
+    /// The batteries, two hexadecimal digits per device: 00 to ff of its E_max.
     fn batteries(&self, views: &[DeviceView]) -> String {
-        let level = |view: &DeviceView| format!("{:02x}", battery_byte(view.battery, self.largest_e_max));
-        views.iter().map(level).collect()
+        let levels = views.iter().zip(&self.e_max);
+        levels
+            .map(|(view, &e_max)| format!("{:02x}", battery_byte(view.battery, e_max)))
+            .collect()
     }
 }
 

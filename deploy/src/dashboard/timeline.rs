@@ -63,14 +63,15 @@ impl TimelineCursor {
     }
 
     /// Encodes the answer to `request` from `span`, which [`Self::copy_span`] has copied for it. Battery levels are
-    /// shares of `e_max`, the largest of all devices.
-    pub(super) fn encode(&self, request: &TimelineRequest, span: HistorySpan, e_max: Energy) -> Vec<u8> {
+    /// shares of `e_max`, the capacities by device.
+    pub(super) fn encode(&self, request: &TimelineRequest, span: HistorySpan, e_max: &[Energy]) -> Vec<u8> {
         let mut cells = Cells::new(request, span.ttis().1);
         for frame in span.frames() {
             cells.mark(frame, request);
         }
         let end = span.ttis().1;
-        let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add_tti(tti, views, e_max));
+        let row_e_max: Vec<Energy> = request.devices.iter().map(|device| e_max[device.index()]).collect();
+        let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add_tti(tti, views, &row_e_max));
         *self.lock() = Some(snapshot_near_end);
         cells.encode(end)
     }
@@ -142,11 +143,11 @@ impl Cells {
         }
     }
 
-    /// Adds the end of TTI `tti`; `views` are in the order of the rows.
-    fn add_tti(&mut self, tti: Tti, views: &[DeviceView], e_max: Energy) {
+    /// Adds the end of TTI `tti`; `views` and the capacities `e_max` are in the order of the rows.
+    fn add_tti(&mut self, tti: Tti, views: &[DeviceView], e_max: &[Energy]) {
         let column = self.cell(0, tti);
         self.column_ttis[column] += 1;
-        for (row, view) in views.iter().enumerate() {
+        for (row, (view, &e_max)) in views.iter().zip(e_max).enumerate() {
             let cell = self.cell(row, tti);
             self.flags[cell] |= match view.state {
                 DeviceState::Idle => SENSING,
@@ -227,7 +228,10 @@ mod tests {
         let take = |frame| history.push(frame).expect("a consistent frame");
         Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, take));
         let cursor = TimelineCursor::default();
-        let e_max = Energy::from_units(100.0).expect("a level");
+        // Unlike in the scenario, each device has its own.
+        let e_max: Vec<Energy> = (0..30)
+            .map(|j| Energy::from_units(100.0 + f64::from(j)).expect("a level"))
+            .collect();
         let mut marks = 0;
         // The second request continues where the first ends. The last column of each is cut short.
         for (from, end) in [(600, 950), (950, 1302)] {
@@ -238,7 +242,7 @@ mod tests {
                 devices: parse_rows("2-9,20", 30).expect("rows"),
             };
             let span = cursor.copy_span(&history, &request).expect("available TTIs");
-            let bytes = cursor.encode(&request, span, e_max);
+            let bytes = cursor.encode(&request, span, &e_max);
             let columns = (end - from).div_ceil(4) as usize;
             let cells = columns * 9;
             assert_eq!(bytes.len(), 24 + 3 * cells);
@@ -261,7 +265,7 @@ mod tests {
                     let last = views.next_back().expect("a TTI");
                     assert_eq!(
                         bytes[2 * cells + cell],
-                        battery_byte(last.battery, e_max),
+                        battery_byte(last.battery, e_max[device.index()]),
                         "TTIs {ttis:?}"
                     );
                     let is_woken = snapshots

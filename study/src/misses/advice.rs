@@ -96,8 +96,9 @@ const LOWER: [f64; 2] = [0.5, 0.25];
 const HIGHER: [f64; 2] = [2.0, 4.0];
 /// Factors to try for a field where both directions can help.
 const BOTH: [f64; 4] = [0.5, 0.25, 2.0, 4.0];
-/// Prices to try under `age-index` in place of another policy, for more sensing and for less. Its default is 0.35.
-const LOW_PRICES: [&str; 3] = ["0.1", "0.2", "0.35"];
+/// Prices to try under `age-index` in place of another policy. Its default is 0.35. If energy is scarce, lower ones only
+/// empty batteries.
+const ALL_PRICES: [&str; 4] = ["0.1", "0.2", "0.35", "1.0"];
 const HIGH_PRICES: [&str; 3] = ["0.35", "0.7", "1.4"];
 
 /// Suggests the policy `age-index` with one of `prices`.
@@ -119,17 +120,17 @@ fn raise_devices(present: &PresentValues, purpose: &str) -> Option<Suggestion> {
 /// Suggests other prices θ. A lower price can empty the batteries and so lead to more missed events.
 fn change_price(present: &PresentValues, field: &str) -> Option<Suggestion> {
     let change = present.scale("change", field, &BOTH)?;
-    Some(change.with_purpose(" (a lower price senses more, a higher one saves energy)"))
+    Some(change.with_purpose(" (a lower price senses more unless it empties batteries, a higher one saves energy)"))
 }
 
 /// Returns changes of the base station's policy against sleep. A price is tried in both directions, since a lower one
 /// can empty batteries.
 fn ways_against_sleep(policy: &str, present: &PresentValues) -> Vec<Suggestion> {
     let ways = match policy {
-        "knn" => vec![Some(choose_age_index(&LOW_PRICES)), raise_devices(present, "")],
+        "knn" => vec![Some(choose_age_index(&ALL_PRICES)), raise_devices(present, "")],
         "adjusted" => vec![
             present.scale("raise", "policy.adjusted.t_on", &HIGHER),
-            Some(choose_age_index(&LOW_PRICES)),
+            Some(choose_age_index(&ALL_PRICES)),
         ],
         "q-learning" => vec![Some(Suggestion::without_trials(
             "raise policy.q-learning.mu1, with tables of `reveille train q-learning`",
@@ -138,7 +139,7 @@ fn ways_against_sleep(policy: &str, present: &PresentValues) -> Vec<Suggestion> 
             // No t_DRX can be shorter than the longest t_on.
             let longest_t_on = present.largest_of_list("policy.random.t_on");
             vec![
-                Some(choose_age_index(&LOW_PRICES)),
+                Some(choose_age_index(&ALL_PRICES)),
                 present.scale_from("shorten", "policy.random.t_drx", &LOWER, longest_t_on),
             ]
         }

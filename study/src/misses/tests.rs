@@ -232,8 +232,8 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
         assert_eq!(
             texts(&advice_with(energy_metrics)),
             [
-                "change policy.age-index.price = 0.35: try 0.175, 0.0875, 0.7, 1.4 (a lower price senses more, a \
-                 higher one saves energy)"
+                "change policy.age-index.price = 0.35: try 0.175, 0.0875, 0.7, 1.4 (a lower price senses more \
+                 unless it empties batteries, a higher one saves energy)"
             ]
         );
     }

@@ -363,11 +363,13 @@ mod tests {
 
     #[test]
     fn only_one_program_runs_a_testbed() {
-        let folder = tempfile::tempdir().expect("writable");
-        let lock = lock_folder(folder.path()).expect("free");
-        let refusal = lock_folder(folder.path()).expect_err("locked").to_string();
+        let folder = std::env::temp_dir().join(format!("reveille-lock-{}", std::process::id()));
+        std::fs::create_dir(&folder).expect("writable");
+        let lock = lock_folder(&folder).expect("free");
+        let refusal = lock_folder(&folder).expect_err("locked").to_string();
         assert!(refusal.contains("another `reveille testbed up`"), "{refusal}");
         drop(lock);
-        lock_folder(folder.path()).expect("free again");
+        lock_folder(&folder).expect("free again");
+        std::fs::remove_dir(&folder).expect("ours");
     }
 }

@@ -49,9 +49,9 @@ export class Histogram {
 
   // Numbers of devices in equal steps up to the largest E_max, for each state.
   count(moment) {
-    const counts = Object.fromEntries(PARTS.map((state) => [state, new Array(BINS).fill(0)]));
+    const counts = Object.fromEntries(PARTS.map((state) => [state, new Array(BINS).fill(0)])), { e_max } = page.run, most = Math.max(...e_max);
     for (let device = 0; device < moment.states.length; device += 1) {
-      counts[STATE_OF_CODE[moment.states[device]]][Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * BINS))] += 1;
+      counts[STATE_OF_CODE[moment.states[device]]][Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * (e_max[device] / most) * BINS))] += 1;
     }
     return counts;
   }

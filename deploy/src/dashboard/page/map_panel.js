@@ -112,7 +112,7 @@ export class MapPanel {
       ["device", "x_m", "y_m", "class", "cluster", "state", "battery_units", "plan_senses", ...(heat ? ["sensing_ttis", "near_events", "near_misses"] : [])],
       ...run.positions.map(({ x, y }, device) => [
         device, x, y, run.classes[run.device_classes[device]], run.groups?.[device] ?? "", symbols[device],
-        significant(batteryShare(moment, device) * Math.max(...run.e_max)), moment.on[device], ...(heat ? [heat.looks[device], heat.events[device], heat.misses[device]] : []),
+        significant(batteryShare(moment, device) * run.e_max[device]), moment.on[device], ...(heat ? [heat.looks[device], heat.events[device], heat.misses[device]] : []),
       ]),
     ];
   }

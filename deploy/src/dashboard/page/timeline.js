@@ -179,7 +179,7 @@ export class Timeline {
     if (!tile || tti >= tile.until) return null;
     const at = (row % TILE_ROWS) * TILE_COLUMNS + Math.floor((tti - tile.from) / step), start = tti - ((tti - tile.from) % step);
     return {
-      device, from: start, last: Math.min(start + step, tile.until) - 1, battery: (tile.battery[at] / 255) * Math.max(...page.run.e_max),
+      device, from: start, last: Math.min(start + step, tile.until) - 1, battery: (tile.battery[at] / 255) * page.run.e_max[device],
       sensing: tile.sensing[at] / 255, states: FLAG_NAMES.filter(([flag]) => tile.flags[at] & flag).map(([, name]) => name),
     };
   }
