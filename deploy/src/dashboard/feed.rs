@@ -415,10 +415,8 @@ impl Feed {
 
     /// The batteries, two hexadecimal digits per device: 00 to ff of its E_max.
     fn batteries(&self, views: &[DeviceView]) -> String {
-        let levels = views.iter().zip(&self.e_max);
-        levels
-            .map(|(view, &e_max)| format!("{:02x}", battery_byte(view.battery, e_max)))
-            .collect()
+        let level = |(view, e_max): (&DeviceView, &Energy)| format!("{:02x}", battery_byte(view.battery, *e_max));
+        views.iter().zip(&self.e_max).map(level).collect()
     }
 }
 
