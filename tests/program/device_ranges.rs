@@ -151,8 +151,11 @@ fn a_second_signal_ends_a_testbed_immediately() {
     assert!(folder.run("testbed init -n 10 --out demo").is_success());
     // An engine without containers, whose `compose up` takes long.
     std::fs::create_dir(folder.join("bin")).expect("a writable folder");
-    let script = "#!/bin/sh\ncase \"$*\" in *\" up \"*) echo >starting; exec sleep 20 ;; esac\n";
-    let docker = folder.write("bin/docker", script);
+    let version = format!("reveille {}", env!("CARGO_PKG_VERSION"));
+    let script = format!(
+        "#!/bin/sh\ncase \"$*\" in \"run \"*) echo {version} ;; *\" up \"*) echo >starting; exec sleep 20 ;; esac\n"
+    );
+    let docker = folder.write("bin/docker", &script);
     std::fs::set_permissions(docker, std::fs::Permissions::from_mode(0o755)).expect("the file exists");
     let path = std::env::var("PATH").unwrap_or_default();
     let mut command = folder.command("testbed up demo");
