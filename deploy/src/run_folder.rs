@@ -1,8 +1,8 @@
 //! The run folder: the files that a run writes. The names and contents are documented in `docs/results.md`. `run`, `up`
 //! and `bs` create it, `run_reader` reads it.
 //!
-//! A new file needs an entry in `RESULT_FILES`. It also needs one in `RunFolder::reopen` if it must not survive the start
-//! of a resumed run, and one in `PART_FILES` if `reveille_lab::io::replace` writes it.
+//! A new file needs an entry in `RESULT_FILES`. It also needs one in `RunFolder::reopen` if it must not survive the
+//! start of a resumed run, and one in `PART_FILES` if `reveille_lab::io::replace` writes it.
 //!
 //! | file | content |
 //! |---|---|

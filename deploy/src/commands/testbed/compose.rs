@@ -87,8 +87,8 @@ const BS: &str = "  bs:
       - tls-operator:/tls/operator:ro
 ";
 
-/// The port of the base station without TLS: any free one of this machine, only for programs on it. With TLS, they would
-/// need a certificate.
+/// The port of the base station without TLS: any free one of this machine, only for programs on it. With TLS, they
+/// would need a certificate.
 const BS_PORT: &str = "    ports: [\"127.0.0.1::7447\"]
 ";
 

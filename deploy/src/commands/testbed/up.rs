@@ -160,7 +160,7 @@ impl<'a> Driver<'a> {
         Ok(driver)
     }
 
-    /// Starts the dashboard, if the testbed has one. Each process of the base station needs a new one, since a dashboard
+    /// Starts the dashboard, if the testbed has one. Each process of the base station needs a new one: a dashboard
     /// follows a run up to the end of that process.
     fn start_dashboard(&mut self) -> anyhow::Result<()> {
         if !self.testbed.config.dashboard {
