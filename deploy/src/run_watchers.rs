@@ -28,7 +28,8 @@ pub(crate) struct RunWatchers {
 /// Checks, before a run folder exists, that the watchers requested by `args` can be started.
 ///
 /// # Errors
-/// If the recording exists and must not be replaced, has the name of a file of the run, its folder is missing, or the metrics address is not available.
+/// If the recording exists and must not be replaced, has the name of a file of the run, its folder is missing, or
+/// the metrics address is not available.
 pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.record {
         let may_replace = args.force && path.is_file();

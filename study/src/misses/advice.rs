@@ -96,8 +96,8 @@ const LOWER: [f64; 2] = [0.5, 0.25];
 const HIGHER: [f64; 2] = [2.0, 4.0];
 /// Factors to try for a field where both directions can help.
 const BOTH: [f64; 4] = [0.5, 0.25, 2.0, 4.0];
-/// Prices to try under `age-index` in place of another policy. Its default is 0.35. If energy is scarce, lower ones only
-/// empty batteries.
+/// Prices to try under `age-index` in place of another policy. Its default is 0.35. If energy is scarce, lower ones
+/// only empty batteries.
 const ALL_PRICES: [&str; 4] = ["0.1", "0.2", "0.35", "1.0"];
 const HIGH_PRICES: [&str; 3] = ["0.35", "0.7", "1.4"];
 
