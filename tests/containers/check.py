@@ -444,7 +444,7 @@ def made_testbed(testbed):
             assert status.startswith(f"{name}: the run is over\n") and status.count("Exited (0)") == 6, status
             assert all(len(line) <= 110 for line in status.splitlines()), status
             # The dashboard stays. It shows the whole run only if no disconnection has cut it off, which is a known defect.
-            assert json.loads(ask_dashboard(status.split("dashboard at ")[1].split()[0], "/api/now"))["next"] > 700, status
+            assert json.loads(ask_dashboard(status.split("dashboard at ")[1].split()[0], "/api/now"))["next"] >= 700, status
             for fault, cause in {"restore": "has ended (Exited (0)", "pause": "does not run (Exited (0)"}.items():
                 end = run(reveille, "testbed", "fault", out, fault, "weak-1", check=False)
                 assert end.returncode == 1 and cause in end.stderr and end.stderr.count("\n") == 1, end.stderr

@@ -238,8 +238,8 @@ pub(crate) struct DeploymentArgs {
     /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// Number of the event, from 0; `none` draws a TTI without an event [default: the first event after the warm-up
-    /// with several reports and a wake-up, or with a report if no event has more].
+    /// Number of the event, from 0; `none` draws a TTI without an event [default: an event with several reports and a
+    /// wake-up, see docs/drawing-figures.md].
     #[arg(long, short, value_parser = parse_event, allow_negative_numbers = true)]
     pub event: Option<EventChoice>,
     /// Picture options.

@@ -200,7 +200,7 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
 
 /// Applies a fault, and ends it after its duration.
 fn disturb(testbed: &Testbed, fault: &Fault) -> anyhow::Result<ExitCode> {
-    let (docker, project) = (Docker::find()?, Project::of(testbed));
+    let (docker, project) = find_project(&testbed.folder)?;
     let signals = Signals::install(SignalMode::HasNoResults)?;
     docker.apply(testbed, &project, fault)?;
     note!("{fault}");
