@@ -206,8 +206,12 @@ impl Docker {
         );
         let own = format!("reveille {}", env!("CARGO_PKG_VERSION"));
         let version = self.run(&["run", "--rm", "--network=none", image, "--version"]);
-        let version =
-            version.map_err(|error| anyhow!("image {image}: it cannot run `reveille --version`: {error:#}"))?;
+        let version = version.map_err(|error| match format!("{error:#}") {
+            text if text.contains("executable file not found") => {
+                anyhow!("image {image}: it contains no Reveille; build it as deploy/docker/README.md explains")
+            }
+            text => anyhow!("image {image}: it cannot run `reveille --version`: {text}"),
+        })?;
         let first_line = version.lines().next().unwrap_or_default();
         ensure!(
             first_line.starts_with(&own),
