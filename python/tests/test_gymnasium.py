@@ -158,7 +158,7 @@ def test_options_set_fields_of_an_episode():
         (lambda: ReveilleEnv("papyrus"), "papyrus"),
         (lambda: ReveilleEnv(devices=0), "devices = 0"),
         (lambda: ReveilleEnv(battery_knowledge="all"), "battery_knowledge"),
-        (lambda: ReveilleEnv(set={"harvest.lamda": 1}), "did you mean `lambda`"),
+        (lambda: ReveilleEnv(set={"harvest.lamda": 1}), "did you mean `harvest.lambda`"),
         (lambda: ReveilleEnv(set={"policy.knn.neighbours": 3, "nonsense": 1}), "nonsense"),
         (lambda: ReveilleEnv(render_mode="human"), "render_mode"),
         (lambda: ReveilleEnv(**SMALL).reset(options={"seet": 1}), "seet"),
