@@ -397,7 +397,7 @@ def made_testbed(testbed):
     faults and the dashboard. The first `up` is interrupted, the second one resumes the run."""
     reveille = str(testbed.reveille)
     scenario = ["--scenario", str(REPOSITORY / "deploy/scenarios/two-classes.toml"), "--ttis", "1500", "--seed", "3"]
-    schedule = ["300 kill bs", "500 kill weak-1", "700 disconnect strong-1 for 5s", "900 pause weak-link for 3s", "1100 slow weak-2 for 2s"]
+    schedule = ["300 kill bs", "500 kill weak-1", "700 disconnect strong-1 for 5s", "900 pause weak-link for 3s", "1100 slow weak-2 for 2s", "1300 pause bs for 4s", "1400 disconnect bs for 4s"]
     with tempfile.TemporaryDirectory() as folder:
         faults, out = Path(folder) / "faults.txt", f"{folder}/{testbed.project}-made"
         faults.write_text("\n".join(schedule))
@@ -443,8 +443,8 @@ def made_testbed(testbed):
             status = run(reveille, "testbed", "status", out).stdout
             assert status.startswith(f"{name}: the run is over\n") and status.count("Exited (0)") == 6, status
             assert all(len(line) <= 110 for line in status.splitlines()), status
-            # The dashboard stays. It shows the whole run only if no disconnection has cut it off, which is a known defect.
-            assert json.loads(ask_dashboard(status.split("dashboard at ")[1].split()[0], "/api/now"))["next"] >= 700, status
+            # The dashboard stays and shows the whole run, also after the faults that cut it off.
+            assert json.loads(ask_dashboard(status.split("dashboard at ")[1].split()[0], "/api/now"))["next"] == 1500, status
             for fault, cause in {"restore": "has ended (Exited (0)", "pause": "does not run (Exited (0)"}.items():
                 end = run(reveille, "testbed", "fault", out, fault, "weak-1", check=False)
                 assert end.returncode == 1 and cause in end.stderr and end.stderr.count("\n") == 1, end.stderr

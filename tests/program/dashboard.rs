@@ -8,7 +8,7 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 use reveille_tests::process::{
-    PATIENCE, Process, SummaryJson, TestFolder, assert_refused, now, unique_run, wait_until,
+    PATIENCE, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, now, unique_run, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -280,11 +280,14 @@ fn device_ledgers_balance_and_filters_equal_those_of_tail() {
 }
 
 #[test]
-fn a_run_killed_while_observed_is_shown_to_its_end() {
-    let (folder, run) = (TestFolder::new(), unique_run("dies"));
-    let up = folder.start(&format!(
-        "up -p knn -n 10 -k 1000000 -P 1 --run {run} --quiet --out o --pace 5ms"
-    ));
+fn a_dashboard_waits_for_a_killed_base_station_and_shows_its_resumed_run() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("dies"), free_endpoint());
+    let up = |options: &str| {
+        folder.start(&format!(
+            "up {options} -P 1 --run {run} --listen {endpoint} --quiet --pace 5ms"
+        ))
+    };
+    let killed_up = up("-p knn -n 10 -k 1000000 --out o");
     folder.wait_for_tti(&run, 1);
     let dashboard = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
     let page = DashboardPage::from_output_of(&dashboard);
@@ -296,19 +299,31 @@ fn a_run_killed_while_observed_is_shown_to_its_end() {
     let tti_before = wait_until("some TTIs", PATIENCE, || {
         page.get("/api/now")["next"].as_u64().filter(|next| *next > 50)
     });
-    up.signal(Signal::KILL);
+    killed_up.signal(Signal::KILL);
     for (page, dashboard) in [(&page, &dashboard), (&second_page, &second_dashboard)] {
-        dashboard.wait_for_stderr("; its messages are shown until");
-        wait_until("the end", PATIENCE, || {
-            (page.get("/api/now")["over"] == true).then_some(())
-        });
-        let next = page.get("/api/now")["next"].as_u64().expect("a TTI");
+        dashboard.wait_for_stderr("has left the bus; waiting for its return");
+        let now = page.get("/api/now");
+        assert_eq!((&now["reachable"], &now["over"]), (&false.into(), &false.into()));
+        let next = now["next"].as_u64().expect("a TTI");
         assert!(next >= tti_before, "{next}");
         let (status, body) = page.request("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
         assert!(status == 410 || status == 502, "{status}: {body}");
     }
     second_dashboard.signal(Signal::INT);
     assert!(second_dashboard.finish().is_success());
+    let tti_at_loss = page.get("/api/now")["next"].as_u64().expect("a TTI");
+    let resumed_up = up("--resume o");
+    dashboard.wait_for_stderr("the base station is back");
+    wait_until("later TTIs", PATIENCE, || {
+        page.get("/api/now")["next"]
+            .as_u64()
+            .filter(|next| *next > tti_at_loss + 50)
+    });
+    let now = page.get("/api/now");
+    assert_eq!((&now["reachable"], &now["broken"]), (&true.into(), &Value::Null));
+    resumed_up.signal(Signal::INT);
+    dashboard.wait_for_stderr("; its messages are shown until");
+    assert_eq!(page.get("/api/now")["over"], true);
 }
 
 #[test]

@@ -324,6 +324,32 @@ fn observers_that_join_early_and_late_record_the_same_run() {
     assert!(shown_messages(&folder, "late.mcap --plane air") == shown_messages(&folder, "early.mcap --plane air"));
 }
 
+#[test]
+fn an_observer_records_the_whole_run_of_a_base_station_that_was_frozen() {
+    let (folder, run) = (TestFolder::new(), unique_run("frozen"));
+    let up = folder.start(&format!(
+        "up -P 1 -n 20 -k 2000 --pace 2ms --paused --run {run} --quiet --out o"
+    ));
+    folder.wait_for_tti(&run, 0);
+    let record = folder.start(&format!("inspect record r.mcap --run {run}"));
+    record.wait_for_stderr("connected to run");
+    folder.clock(&run, "resume");
+    folder.wait_for_tti(&run, 100);
+    up.signal(Signal::STOP);
+    // Comes after the lease of the connection.
+    record.wait_for_stderr("has left the bus");
+    up.signal(Signal::CONT);
+    record.wait_for_stderr("is back");
+    let (up, record) = (up.finish(), record.finish());
+    assert!(up.is_success(), "{up}");
+    assert!(record.is_success(), "{record}");
+    let digest = folder.run("run -n 20 -k 2000 --quiet --record p.mcap --out p").stdout;
+    let digest = digest.trim().trim_start_matches("digest ").to_owned();
+    let finished = folder.run("inspect verify r.mcap");
+    assert!(finished.stdout.contains(&digest), "{finished}");
+    assert!(shown_messages(&folder, "r.mcap --plane air") == shown_messages(&folder, "p.mcap --plane air"));
+}
+
 /// Reads a CSV table: for each row the cells by column.
 fn read_table(folder: &TestFolder, name: &str) -> Vec<BTreeMap<String, String>> {
     let text = String::from_utf8(folder.bytes(name)).expect("text");

@@ -133,6 +133,8 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("dashboard at {}\npress Ctrl-C to end", dashboard.url);
     let feed_handle = feed.open()?;
+    let reachability_feed = Arc::clone(&feed);
+    live.wait_for_lost_bs(move |is_reachable| reachability_feed.set_reachable(is_reachable));
     live.follow(catch_up, |frame| feed_handle.send(frame)).await?;
     // The last handle: its drop ends the feed, so that the page shows the end.
     drop(feed_handle);

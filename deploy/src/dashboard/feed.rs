@@ -47,7 +47,6 @@ pub(crate) enum FeedOrigin<'a> {
 
 /// A run that many clients can view.
 pub(crate) struct Feed {
-    /// The largest E_max of all devices.
     /// Battery capacity by device.
     e_max: Vec<Energy>,
     /// The part of the data that is constant during the run, as JSON.
@@ -66,6 +65,8 @@ pub(crate) struct Feed {
     pub changed: Notify,
     /// Whether no more frames will come.
     is_over: AtomicBool,
+    /// Whether the base station is on the bus; always true for a recording.
+    is_reachable: AtomicBool,
 }
 
 /// A recording that a run is compared with.
@@ -180,6 +181,7 @@ impl Feed {
             timeline: TimelineCursor::default(),
             changed: Notify::new(),
             is_over: AtomicBool::new(false),
+            is_reachable: AtomicBool::new(true),
         })
     }
 
@@ -231,6 +233,12 @@ impl Feed {
         self.lock().broken_reason = Some(reason);
     }
 
+    /// Records whether the base station is on the bus.
+    pub(crate) fn set_reachable(&self, is_reachable: bool) {
+        self.is_reachable.store(is_reachable, Ordering::Relaxed);
+        self.changed.notify_waiters();
+    }
+
     /// Ends the feed: no more frames come. Call it once.
     pub(crate) fn end(&self) {
         let mut state = self.lock();
@@ -261,6 +269,7 @@ impl Feed {
         now["first"] = json!(first);
         now["next"] = json!(next);
         now["over"] = json!(self.is_over.load(Ordering::Relaxed));
+        now["reachable"] = json!(self.is_reachable.load(Ordering::Relaxed));
         now["broken"] = json!(state.broken_reason);
         now["events"] = json!(events.events);
         now["missed"] = json!(events.misdetected);

@@ -21,6 +21,7 @@ use reveille_lab::external_inputs::InputLogParser;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 
+use super::passed_frames::PassedFrames;
 use crate::signals::run_on_thread;
 
 /// Context of an error in the input log.
@@ -43,6 +44,8 @@ pub(crate) struct CatchUp {
     is_in_open_grant: bool,
     /// Whether the catch-up is complete, so that received frames are passed on.
     is_over: bool,
+    /// The frames passed on so far, also before [`Self::restart`].
+    passed: PassedFrames,
 }
 
 impl CatchUp {
@@ -58,7 +61,16 @@ impl CatchUp {
             should_stop: Box::new(should_stop),
             is_in_open_grant: false,
             is_over: false,
+            passed: PassedFrames::default(),
         }
+    }
+
+    /// Starts again after frames have been lost. Frames that were passed on are not passed on a second time. The input
+    /// log must be read again from its start.
+    pub(crate) fn restart(&mut self) {
+        (self.log, self.bytes_read, self.replay) = (InputLogParser::default(), 0, None);
+        (self.next_tti, self.is_in_open_grant, self.is_over) = (Tti::ZERO, false, false);
+        self.passed.restart();
     }
 
     /// Whether the catch-up is complete, so that received frames are passed on.
@@ -106,15 +118,32 @@ impl CatchUp {
     ) -> anyhow::Result<()> {
         // While the clock runs, the TTI before the next one can still be open.
         let open_ttis = u64::from(!status.paused);
-        self.replay_until(Tti(status.tti.0.saturating_sub(open_ttis)), on_frame)?;
+        let end = Tti(status.tti.0.saturating_sub(open_ttis));
+        self.pass_new_frames(on_frame, |this, on_new_frame| this.replay_until(end, on_new_frame))?;
         Ok(())
+    }
+
+    /// Calls `produce` with a consumer of frames that passes the new ones to `on_frame`.
+    fn pass_new_frames<T>(
+        &mut self,
+        mut on_frame: impl FnMut(Frame),
+        produce: impl FnOnce(&mut Self, &mut dyn FnMut(Frame)) -> T,
+    ) -> T {
+        let mut passed = std::mem::take(&mut self.passed);
+        let produced = produce(self, &mut |frame| {
+            if let Some(frame) = passed.filter_new(frame) {
+                on_frame(frame);
+            }
+        });
+        self.passed = passed;
+        produced
     }
 
     /// Passes on all TTIs before `end` that are still due. Returns false if it was stopped before `end`.
     ///
     /// # Errors
     /// If a decision in one of the TTIs is unknown.
-    fn replay_until(&mut self, end: Tti, mut on_frame: impl FnMut(Frame)) -> anyhow::Result<bool> {
+    fn replay_until(&mut self, end: Tti, mut on_frame: &mut dyn FnMut(Frame)) -> anyhow::Result<bool> {
         if end <= self.next_tti {
             return Ok(true);
         }
@@ -156,7 +185,11 @@ impl CatchUp {
     ///
     /// # Errors
     /// See [`Self::replay_until`].
-    pub(crate) fn push(&mut self, frame: Frame, mut on_frame: impl FnMut(Frame)) -> anyhow::Result<()> {
+    pub(crate) fn push(&mut self, frame: Frame, on_frame: impl FnMut(Frame)) -> anyhow::Result<()> {
+        self.pass_new_frames(on_frame, |this, on_new_frame| this.take_frame(frame, on_new_frame))
+    }
+
+    fn take_frame(&mut self, frame: Frame, on_frame: &mut dyn FnMut(Frame)) -> anyhow::Result<()> {
         if self.is_over {
             on_frame(frame);
             return Ok(());
@@ -176,7 +209,7 @@ impl CatchUp {
             Ok(Message::Clock(ClockMessage::CollectLedgers(end))) => end,
             Ok(_) | Err(_) => return Ok(()),
         };
-        if self.replay_until(received_from, &mut on_frame)? {
+        if self.replay_until(received_from, &mut *on_frame)? {
             // The replay is not needed any more, and can be large.
             (self.is_over, self.replay) = (true, None);
             let actions = self.log.inputs().actions.iter();
@@ -191,6 +224,7 @@ impl CatchUp {
 #[cfg(test)]
 mod tests {
     use std::cell::RefCell;
+    use std::ops::Range;
 
     use reveille_bs::policy::external::{Decision, DecisionStage, PlanDecision, RecordedDecision};
     use reveille_bs::policy::outside;
@@ -312,52 +346,126 @@ mod tests {
                 log += &input_line(input);
                 line_ends.push(log.len());
             }
-            // The part of the log known so far, with some bytes of a line that is being written.
-            let log_after = |sent_frames: usize| {
-                let input_count = self.inputs.partition_point(|(before, _)| *before < sent_frames);
-                &log.as_bytes()[..log.len().min(line_ends[input_count] + 9)]
+            let sent = SentRun {
+                scenario,
+                frames: &self.frames,
+                log: log.as_bytes(),
+                inputs_sent_before: self.inputs.iter().map(|(before, _)| *before).collect(),
+                line_ends,
             };
-            for joined_at in (0..self.frames.len()).step_by(5).chain(0..12) {
-                let next_tti = self.frames[..joined_at]
-                    .iter()
-                    .rev()
-                    .find_map(|frame| match frame.message() {
-                        Ok(Message::World(world)) => Some(world.last + 1),
-                        Ok(_) | Err(_) => None,
-                    });
-                let can_pause = matches!(self.frames[joined_at].kind, MessageKind::Plan | MessageKind::Clock);
+            let count = self.frames.len();
+            for joined_at in (0..count).step_by(5).chain(0..12) {
                 for paused in [false, true] {
-                    if paused && !can_pause {
+                    if paused && !sent.can_pause_at(joined_at) {
                         continue;
                     }
-                    let status = ClockStatus {
-                        tti: next_tti.unwrap_or_default(),
-                        ttis: scenario.run.ttis,
-                        paused,
-                        stop_before: end,
-                        pace: Pace::Max,
-                        begun: true,
-                        devices: scenario.run.devices,
-                        hosts: Vec::new(),
-                    };
-                    let (mut received, mut catch_up) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
-                    catch_up.read_input_log(log_after(joined_at)).expect("a log");
-                    catch_up
-                        .replay_closed_ttis(&status, |frame| received.push(frame))
-                        .expect("a consistent run");
-                    for (number, frame) in (joined_at..).zip(&self.frames[joined_at..]) {
-                        catch_up
-                            .read_input_log(&log_after(number + 1)[catch_up.bytes_read() as usize..])
-                            .expect("a log");
-                        catch_up
-                            .push(frame.clone(), |frame| received.push(frame))
-                            .expect("a consistent run");
-                    }
+                    let mut observer = Observer::new(scenario);
+                    observer.join(&sent, joined_at..count, paused);
                     assert!(
-                        without_world(&received) == expected,
+                        without_world(&observer.received) == expected,
                         "joined at frame {joined_at}, paused: {paused}"
                     );
                 }
+            }
+            // The connection is lost, and frames with it. A base station that was resumed sends earlier frames again.
+            for lost_at in (0..count).step_by(41) {
+                for back_at in [lost_at.saturating_sub(60), lost_at, lost_at + 3, lost_at + 90] {
+                    let mut observer = Observer::new(scenario);
+                    observer.join(&sent, 0..lost_at, false);
+                    observer.catch_up.restart();
+                    observer.join(&sent, back_at.min(count - 1)..count, false);
+                    assert!(
+                        without_world(&observer.received) == expected,
+                        "lost at frame {lost_at}, back at frame {back_at}"
+                    );
+                    let mut next_tti = 0;
+                    for frame in &observer.received {
+                        if let Ok(Message::World(world)) = frame.message() {
+                            assert_eq!(
+                                world.first.0, next_tti,
+                                "lost at frame {lost_at}, back at frame {back_at}"
+                            );
+                            next_tti = world.last.0 + 1;
+                        }
+                    }
+                    assert_eq!(next_tti, end.0);
+                }
+            }
+        }
+    }
+
+    /// What a base station sends in a run.
+    struct SentRun<'a> {
+        scenario: &'a Scenario,
+        frames: &'a [Frame],
+        log: &'a [u8],
+        /// The number of frames before each external input.
+        inputs_sent_before: Vec<usize>,
+        /// The ends of the lines of `log`, without and with the first inputs.
+        line_ends: Vec<usize>,
+    }
+
+    impl SentRun<'_> {
+        /// The part of the log known before frame `index`, with some bytes of a line that is being written.
+        fn log_before(&self, index: usize) -> &[u8] {
+            let input_count = self.inputs_sent_before.partition_point(|before| *before < index);
+            &self.log[..self.log.len().min(self.line_ends[input_count] + 9)]
+        }
+
+        fn can_pause_at(&self, index: usize) -> bool {
+            matches!(self.frames[index].kind, MessageKind::Plan | MessageKind::Clock)
+        }
+
+        /// The status of the clock before frame `index`.
+        fn status(&self, index: usize, paused: bool) -> ClockStatus {
+            let next_tti = self.frames[..index]
+                .iter()
+                .rev()
+                .find_map(|frame| match frame.message() {
+                    Ok(Message::World(world)) => Some(world.last + 1),
+                    Ok(_) | Err(_) => None,
+                });
+            ClockStatus {
+                tti: next_tti.unwrap_or_default(),
+                ttis: self.scenario.run.ttis,
+                paused,
+                stop_before: Tti(self.scenario.run.ttis),
+                pace: Pace::Max,
+                begun: true,
+                devices: self.scenario.run.devices,
+                hosts: Vec::new(),
+            }
+        }
+    }
+
+    struct Observer {
+        catch_up: CatchUp,
+        received: Vec<Frame>,
+    }
+
+    impl Observer {
+        fn new(scenario: &Scenario) -> Self {
+            Self {
+                catch_up: CatchUp::new(scenario.clone(), || false),
+                received: Vec::new(),
+            }
+        }
+
+        /// Connects before the first of `frames`, and receives them.
+        fn join(&mut self, sent: &SentRun<'_>, frames: Range<usize>, paused: bool) {
+            let Self { catch_up, received } = self;
+            let status = sent.status(frames.start, paused);
+            catch_up.read_input_log(sent.log_before(frames.start)).expect("a log");
+            catch_up
+                .replay_closed_ttis(&status, |frame| received.push(frame))
+                .expect("a consistent run");
+            for index in frames {
+                catch_up
+                    .read_input_log(&sent.log_before(index + 1)[catch_up.bytes_read() as usize..])
+                    .expect("a log");
+                catch_up
+                    .push(sent.frames[index].clone(), |frame| received.push(frame))
+                    .expect("a consistent run");
             }
         }
     }

@@ -3,19 +3,18 @@
 //! only after the tap is declared, so that no later frame is missed, and after the handlers of signals are installed.
 
 use std::io;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::anyhow;
 use reveille_common::bus::{Bus, DeclarationGuard, Role};
 use reveille_common::ids::Tti;
 use reveille_common::message::{
-    ClockCommand, ClockStatus, DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest, Message, MessageKind,
-    Query,
+    ClockCommand, ClockMessage, ClockStatus, DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest,
+    Message, MessageKind, Query,
 };
 use reveille_view::recording::ScenarioBundle;
-use tokio::sync::Notify;
 use tokio::sync::mpsc::Receiver;
+use tokio::sync::watch;
 
 use super::catch_up::CatchUp;
 use crate::cli::TargetArgs;
@@ -32,6 +31,15 @@ pub(crate) const OBSERVERS: [Role; 2] = [Role::Observer, Role::Operator];
 const MAX_QUEUED_BATCHES: usize = 4_096;
 /// Longest wait for each of the last frames of an ended run.
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(300);
+/// Longest wait for a base station that has left the bus before the end of its run, unless the caller sets another.
+const RETURN_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Whether the base station is on the bus, and how often it has left it.
+#[derive(Clone, Copy, Default)]
+struct BsPresence {
+    is_present: bool,
+    losses: u64,
+}
 
 /// An observed run.
 pub(crate) struct Live {
@@ -44,10 +52,17 @@ pub(crate) struct Live {
     status: ClockStatus,
     /// The frames from the tap.
     batches: Receiver<FrameBatch>,
-    /// Notified once the base station has left the bus.
-    run_ended: Arc<Notify>,
-    /// Whether `run_ended` has been received. The last frames can follow.
+    bs_presence: watch::Receiver<BsPresence>,
+    /// The losses of the base station that were followed by its return.
+    survived_losses: u64,
+    /// The last message of the virtual clock. It shows whether the run has come to its end.
+    last_clock_frame: Option<Frame>,
+    /// Whether the base station has left the bus for good. The last frames can follow.
     has_ended: bool,
+    /// Longest wait for a base station that has left the bus before the end of its run.
+    return_timeout: Duration,
+    /// Called with false when the base station has left the bus before the end of its run, and with true on its return.
+    on_reachability: Box<dyn Fn(bool) + Send>,
     signals: Signals,
     /// The thread of [`Self::force_exit_after_signal`].
     forced_exit: Option<ForcedExit>,
@@ -79,13 +94,12 @@ impl Live {
             return Err(bus.no_run_error().await.into());
         };
         let (batch_sender, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
-        let run_ended = Arc::new(Notify::new());
-        let end_notifier = Arc::clone(&run_ended);
-        let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
-            if !alive {
-                // `notify_one` keeps a permit: the liveliness token can disappear before anything waits for it.
-                end_notifier.notify_one();
-            }
+        let (presence_sender, bs_presence) = watch::channel(BsPresence::default());
+        let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, is_present| {
+            presence_sender.send_modify(|presence| {
+                presence.is_present = is_present;
+                presence.losses += u64::from(!is_present);
+            });
         })?;
         let tap = bus.observe(move |batch| {
             // The callback must not block zenoh's thread; a batch without room shows as a gap in the frame numbers.
@@ -97,8 +111,12 @@ impl Live {
             status,
             bus,
             batches,
-            run_ended,
+            bs_presence,
+            survived_losses: 0,
+            last_clock_frame: None,
             has_ended: false,
+            return_timeout: RETURN_TIMEOUT,
+            on_reachability: Box::new(|_| {}),
             signals: Signals::install(SignalMode::HasNoResults)?,
             forced_exit: None,
             reached: Tti::ZERO,
@@ -111,6 +129,12 @@ impl Live {
     /// The bus session.
     pub(crate) fn bus(&self) -> Bus {
         self.bus.clone()
+    }
+
+    /// Waits without limit for a base station that has left the bus before the end of its run, and calls
+    /// `on_reachability` with false when it leaves and with true when it is back.
+    pub(crate) fn wait_for_lost_bs(&mut self, on_reachability: impl Fn(bool) + Send + 'static) {
+        (self.return_timeout, self.on_reachability) = (Duration::MAX, Box::new(on_reachability));
     }
 
     /// The signals that end the observation.
@@ -160,22 +184,90 @@ impl Live {
         }
     }
 
-    /// Receives the next frames and the number of frames dropped before them. Returns `None` once the run has ended or
-    /// a signal came.
+    /// Receives the next frames and the number of frames dropped before them. Returns `None` once the base station has
+    /// left the bus or a signal came.
     pub(crate) async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
         if !self.has_ended {
-            tokio::select! {
+            let survived_losses = self.survived_losses;
+            let batch = tokio::select! {
                 // In this order: a signal ends the wait, and batches that have arrived come before the end of the run.
                 biased;
                 () = self.signals.wait_for_first() => return None,
-                batch = self.batches.recv() => return batch.map(|batch| self.count_gap(batch)),
-                () = self.run_ended.notified() => self.has_ended = true,
+                batch = self.batches.recv() => Some(batch?),
+                _ = self.bs_presence.wait_for(|presence| presence.losses > survived_losses) => None,
+            };
+            if let Some(batch) = batch {
+                return Some(self.count_gap(batch));
             }
+            self.has_ended = true;
+        }
+        if self.bs_presence.borrow().is_present {
+            // It is back: batches of its new connection do not follow the last ones.
+            return None;
         }
         // The end of the run becomes visible before its last batches arrive.
         let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
         let last_batch = self.signals.unless_interrupted(last_batch).await?.ok().flatten();
         last_batch.map(|batch| self.count_gap(batch))
+    }
+
+    /// After [`Self::next`] has returned `None`: waits for the return of a base station that left the bus before the
+    /// end of its run, such as one that was disconnected, paused or resumed by a new process. Returns false if the run
+    /// has ended, a signal came, or the base station has not returned in time. Frames sent in between are lost.
+    ///
+    /// # Errors
+    /// If the bus fails, or the base station that returns has another run.
+    async fn wait_for_return(&mut self) -> anyhow::Result<bool> {
+        let is_last = |frame: &Frame| {
+            let message = frame.message();
+            let Ok(Message::Clock(clock)) = message else {
+                return false;
+            };
+            matches!(
+                clock,
+                ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_)
+            )
+        };
+        if self.signals.has_arrived() || self.last_clock_frame.as_ref().is_some_and(is_last) {
+            return Ok(false);
+        }
+        let limit = if self.return_timeout == Duration::MAX {
+            String::new()
+        } else {
+            format!(" up to {} s", self.return_timeout.as_secs())
+        };
+        note!(
+            "the base station of run {} has left the bus; waiting{limit} for its return",
+            self.run_name
+        );
+        (self.on_reachability)(false);
+        let signals = self.signals.clone();
+        let returned = tokio::time::timeout(self.return_timeout, self.query_returned_bs());
+        let Some(Ok(returned)) = signals.unless_interrupted(returned).await else {
+            return Ok(false);
+        };
+        let status = returned?;
+        anyhow::ensure!(
+            (status.ttis, status.devices) == (self.status.ttis, self.devices),
+            "another run called {} answers now; start again to observe it",
+            self.run_name
+        );
+        note!("the base station is back: {status}");
+        (self.on_reachability)(true);
+        (self.status, self.has_ended, self.next_frame_number) = (status, false, None);
+        Ok(true)
+    }
+
+    /// Waits until the base station is on the bus again and answers, and returns its status. Batches that came before
+    /// the answer are dropped.
+    async fn query_returned_bs(&mut self) -> anyhow::Result<ClockStatus> {
+        loop {
+            self.survived_losses = self.bs_presence.wait_for(|presence| presence.is_present).await?.losses;
+            while self.batches.try_recv().is_ok() {}
+            if let Some(status) = self.bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await? {
+                return Ok(status);
+            }
+        }
     }
 
     /// Checks that a run did not end before its last TTI. Call it after [`Self::follow`], which counts the TTIs.
@@ -207,6 +299,7 @@ impl Live {
 
     /// Passes the frames of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
     /// when the run ends, a signal comes, or `on_frame` returns false. Dropped messages are counted and reported once.
+    /// If the base station leaves the bus and returns, the messages in between are caught up too.
     ///
     /// # Errors
     /// If the external inputs of the run cannot be read.
@@ -229,7 +322,23 @@ impl Live {
         tokio::task::block_in_place(|| {
             catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
         })?;
-        while wants_more && let Some((frames, _)) = self.next().await {
+        while wants_more {
+            let Some((frames, _)) = self.next().await else {
+                if !self.wait_for_return().await? {
+                    break;
+                }
+                catch_up.restart();
+                match self.fetch_new_inputs(&mut catch_up).await {
+                    Err(error) if error.is::<Interrupted>() => break,
+                    still_running => is_running = still_running?,
+                }
+                if is_running {
+                    tokio::task::block_in_place(|| {
+                        catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
+                    })?;
+                }
+                continue;
+            };
             // The kinds before which `CatchUp::push` needs the log. No others: the tap also copies the query below,
             // which must not trigger the next one.
             let may_trigger_replay =
@@ -287,6 +396,8 @@ impl Live {
             .saturating_sub(self.next_frame_number.unwrap_or(batch.first));
         self.dropped_frames += missing;
         self.next_frame_number = Some(batch.first.saturating_add(batch.frames.len() as u64));
+        let mut clock_frames = batch.frames.iter().filter(|frame| frame.kind == MessageKind::Clock);
+        self.last_clock_frame = clock_frames.next_back().cloned().or(self.last_clock_frame.take());
         (batch.frames, missing)
     }
 

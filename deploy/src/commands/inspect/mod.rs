@@ -6,6 +6,7 @@ mod catch_up;
 mod export;
 pub(crate) mod live;
 mod misses;
+mod passed_frames;
 mod record;
 pub(crate) mod source;
 mod stats;

@@ -160,8 +160,7 @@ impl<'a> Driver<'a> {
         Ok(driver)
     }
 
-    /// Starts the dashboard, if the testbed has one. Each process of the base station needs a new one: a dashboard
-    /// follows a run up to the end of that process.
+    /// Starts a new dashboard, if the testbed has one: the certificates of an earlier one are not valid any more.
     fn start_dashboard(&mut self) -> anyhow::Result<()> {
         if !self.testbed.config.dashboard {
             return Ok(());
@@ -228,7 +227,7 @@ impl<'a> Driver<'a> {
 
     /// Applies the faults until the base station has ended. Returns its exit code, `None` after a signal.
     fn drive_to_end(&mut self) -> anyhow::Result<Option<u8>> {
-        let (mut has_target, mut is_restarted) = (true, false);
+        let mut has_target = true;
         let services = self.testbed.services();
         while !self.signals.has_arrived() {
             let state = self.docker.bs_state(&self.bs)?;
@@ -238,7 +237,7 @@ impl<'a> Driver<'a> {
             if state.started_at != self.bs_started_at {
                 // A restarted base station does not know the target of the earlier one.
                 self.bs_started_at = state.started_at;
-                (has_target, is_restarted) = (false, true);
+                has_target = false;
             }
             if let Some((line, tti)) = self.clock_status() {
                 self.bar.set_position(tti);
@@ -258,13 +257,6 @@ impl<'a> Driver<'a> {
             if !has_target {
                 // The base station may be about to restart.
                 has_target = self.set_target().is_ok();
-                if has_target && is_restarted {
-                    is_restarted = false;
-                    // The run and its faults do not need it.
-                    if let Err(error) = self.start_dashboard() {
-                        note!("the dashboard did not start: {error:#}");
-                    }
-                }
             }
             self.report_dashboard();
             self.end_due_faults(crate::runtime::now());

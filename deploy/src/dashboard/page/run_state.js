@@ -8,6 +8,7 @@ export function runState() {
   const { now, run, clock } = page;
   if (now.over) return now.next < run.ttis ? "interrupted" : "finished";
   if (!run.live) return now.next < run.ttis ? "interrupted" : "finished";
+  if (!now.reachable) return "waiting";
   if (!clock) return "running";
   if (!clock.begun) return "joining";
   if (clock.hosts.some(({ lost }) => lost)) return "waiting";
