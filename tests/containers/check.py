@@ -408,22 +408,30 @@ def made_testbed(testbed):
         try:
             started = time.monotonic()
             interrupted = subprocess.Popen([reveille, "testbed", "up", out], stderr=subprocess.PIPE, text=True)
-            notes, dashboards = [], []
+            notes, url = [], None
+            act = "/api/act/energy?device=7&units=2.5"
             for line in interrupted.stderr:
                 notes.append(line.rstrip("\n"))
                 if line.startswith("dashboard at "):
-                    dashboards.append(url := line.split()[2])
+                    assert url is None, notes
+                    url = line.split()[2]
                     assert "<html" in ask_dashboard(url, "/") and "next" in json.loads(ask_dashboard(url, "/api/now"))
-                    # The second one belongs to the base station that the engine has started again.
-                    assert "receives 2.5 units" in ask_dashboard(url, "/api/act/energy?device=7&units=2.5", "POST")
-                    if len(dashboards) == 1:
-                        # The base station runs; after TTI 300 it would be down.
-                        check_refusals(name, image)
-                        second = run(reveille, "testbed", "up", out, check=False)
-                        assert second.returncode == 1 and "another `reveille testbed up`" in second.stderr, second.stderr
+                    assert "receives 2.5 units" in ask_dashboard(url, act, "POST")
+                    # The base station runs; after TTI 300 it would be down.
+                    check_refusals(name, image)
+                    second = run(reveille, "testbed", "up", out, check=False)
+                    assert second.returncode == 1 and "another `reveille testbed up`" in second.stderr, second.stderr
                 if line.startswith("TTI 500"):
+                    # The page follows the base station that the engine has started again.
+                    now = json.loads(ask_dashboard(url, "/api/now"))
+                    assert now["reachable"] and not now["broken"] and now["next"] >= 499, now
+                    assert "receives 2.5 units" in ask_dashboard(url, act, "POST")
+                    clock = run(reveille, "testbed", "clock", out, "status").stdout
+                    assert "TTI" in clock and "of 1500" in clock, clock
+                    unknown = run(reveille, "testbed", "logs", out, "weak-9", check=False)
+                    assert unknown.returncode == 1 and "the testbed has bs, " in unknown.stderr, unknown.stderr
                     interrupted.send_signal(signal.SIGINT)
-            assert interrupted.wait() == 130 and len(dashboards) == 2, notes
+            assert interrupted.wait() == 130, notes
             assert [line for line in notes if line.startswith("TTI ")] == [f"TTI {line.replace(' ', ': ', 1)}" for line in schedule[:2]], notes
             end = run(reveille, "testbed", "up", out, "--check")
             notes = end.stderr.splitlines()
@@ -451,6 +459,8 @@ def made_testbed(testbed):
             again = run(reveille, "testbed", "up", out)
             assert f"digest {summary['digest']}" in again.stdout, again.stdout
         finally:
+            # Also after an edit that makes the description unreadable.
+            Path(f"{out}/testbed.toml").write_text("name =")
             run(reveille, "testbed", "down", out)
         for kind in ("container", "volume", "network"):
             left = run("docker", kind, "ls", *(["--all"] if kind == "container" else []), "--quiet", "--filter", label).stdout

@@ -55,6 +55,18 @@ pub(crate) enum TestbedCommand {
         #[arg(long, short)]
         follow: bool,
     },
+    /// Pause, step or resume a testbed's run, or act on it: `reveille clock` in the container of the base station
+    #[command(after_help = examples!(
+        "reveille testbed clock demo pause",
+        "reveille testbed clock demo step 5",
+    ))]
+    Clock {
+        /// Folder that `testbed init` wrote.
+        folder: PathBuf,
+        /// Arguments of `reveille clock`.
+        #[arg(required = true, trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
     /// Copy the run folder out of a testbed
     #[command(after_help = examples!("reveille testbed results", "reveille testbed results demo"))]
     Results(TestbedFolder),

@@ -164,6 +164,15 @@ impl TestbedConfig {
             self.image
         );
         parse_pace(&self.pace).map_err(|cause| anyhow!("pace {}: {cause}", self.pace))?;
+        for class in &self.classes {
+            let names: Vec<&str> = scenario.classes.iter().map(|class| class.name.as_str()).collect();
+            ensure!(
+                names.contains(&class.name.as_str()),
+                "class {}: the scenario has no such class; its classes are {}",
+                class.name,
+                names.join(", ")
+            );
+        }
         for (class, size) in scenario.classes.iter().zip(class_sizes) {
             let entries = self.classes.iter().filter(|entry| entry.name == class.name).count();
             ensure!(
@@ -172,14 +181,12 @@ impl TestbedConfig {
                 class.name
             );
         }
-        for class in &self.classes {
-            let index = scenario.classes.iter().position(|other| other.name == class.name);
-            let Some(index) = index else {
-                bail!("class {}: the scenario has no such class", class.name);
-            };
-            class
-                .check(class_sizes[index])
-                .map_err(|cause| anyhow!("class {}: {cause}", class.name))?;
+        for (declared, size) in scenario.classes.iter().zip(class_sizes) {
+            for class in self.classes.iter().filter(|class| class.name == declared.name) {
+                class
+                    .check(*size)
+                    .map_err(|cause| anyhow!("class {}: {cause}", class.name))?;
+            }
         }
         Ok(())
     }

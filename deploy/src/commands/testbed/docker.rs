@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output, Stdio};
 use std::time::Duration;
 
@@ -155,12 +155,7 @@ impl Docker {
 
     /// Runs a compose command of `project` with this program's terminal.
     pub(super) fn compose_in_foreground(&self, project: &Project, args: &[&str]) -> anyhow::Result<ExitCode> {
-        let status = self.compose_command(project, args).status()?;
-        // A shell reports a signal in the same way.
-        let code = status.code().or_else(|| status.signal().map(|signal| 128 + signal));
-        Ok(ExitCode::from(
-            code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1),
-        ))
+        exit_code_in_foreground(&mut self.compose_command(project, args))
     }
 
     fn compose_command(&self, project: &Project, args: &[&str]) -> Command {
@@ -258,17 +253,34 @@ impl Docker {
         }
     }
 
+    /// The name of the project whose containers were started from `folder`, if there are any.
+    pub(super) fn project_started_from(&self, folder: &Path) -> anyhow::Result<Option<String>> {
+        let Ok(own) = folder.canonicalize() else {
+            return Ok(None);
+        };
+        let form = "{{.Label \"com.docker.compose.project\"}}\t{{.Label \"com.docker.compose.project.working_dir\"}}";
+        let list = self.run(&["ps", "--all", "--format", form])?;
+        let mut projects = list.lines().filter_map(|line| line.split_once('\t'));
+        let found = projects.find(|(_, folder)| Path::new(folder).canonicalize().is_ok_and(|folder| folder == own));
+        Ok(found.map(|(name, _)| name.to_owned()))
+    }
+
     /// The container of a service.
     ///
     /// # Errors
     /// If it does not exist.
     pub(super) fn container(&self, project: &Project, service: &str) -> anyhow::Result<Container> {
         let containers = self.containers(project)?;
-        let found = containers.into_iter().find(|container| container.service == service);
-        found.with_context(|| {
+        if let Some(found) = containers.iter().find(|container| container.service == service) {
+            return Ok(found.clone());
+        }
+        let mut services: Vec<&str> = containers.iter().map(|container| container.service.as_str()).collect();
+        services.sort_unstable();
+        if services.is_empty() {
             let folder = shell_word(&project.folder);
-            format!("{service}: no such container; start the testbed with `reveille testbed up {folder}`")
-        })
+            bail!("{service}: no such container; start the testbed with `reveille testbed up {folder}`");
+        }
+        bail!("{service}: no such container; the testbed has {}", services.join(", "))
     }
 
     /// The container of a service, once the engine has started it again after a failure.
@@ -305,10 +317,13 @@ impl Docker {
         self.run(&["logs", "--since", &started_at, &bs.id])
     }
 
-    /// The last lines that a container has logged.
+    /// The last lines that a container has logged, without repetitions: a container that fails is started again.
     pub(super) fn last_log_lines(&self, container: &Container, count: &str) -> anyhow::Result<String> {
         let output = self.output(&["logs", "--tail", count, &container.id])?;
-        Ok(text_of(&output.stderr))
+        let log = text_of(&output.stderr);
+        let mut lines: Vec<&str> = log.lines().collect();
+        lines.dedup();
+        Ok(lines.join("\n"))
     }
 
     /// Runs `reveille clock ARGS` in the container of the base station, and returns its first line.
@@ -318,6 +333,19 @@ impl Docker {
     pub(super) fn clock(&self, bs: &Container, args: &[&str]) -> anyhow::Result<String> {
         let text = self.run(&[&["exec", &bs.id, "reveille", "clock"], args].concat())?;
         Ok(text.lines().next().unwrap_or_default().to_owned())
+    }
+
+    /// The ids of the containers that a fault slows down.
+    pub(super) fn slow_containers(&self, containers: &[Container]) -> anyhow::Result<Vec<String>> {
+        if containers.is_empty() {
+            return Ok(Vec::new());
+        }
+        let ids = containers.iter().map(|container| container.id.as_str());
+        let command = ["inspect", "--format", "{{.Id}} {{.HostConfig.NanoCpus}}"];
+        let list = self.run(&command.into_iter().chain(ids).collect::<Vec<_>>())?;
+        let slow_lines = list.lines().filter_map(|line| line.split_once(' '));
+        let slow_ids = slow_lines.filter(|(_, nano_cpus)| is_slow(nano_cpus));
+        Ok(slow_ids.map(|(id, _)| id.to_owned()).collect())
     }
 
     /// The address on this machine of a port of a container, while it runs.
@@ -439,8 +467,7 @@ impl Docker {
         }
         let own = testbed.containers.iter().find(|own| own.service == container.service);
         let cpus = own.and_then(|own| testbed.config.classes[own.class].cpus);
-        let slow_nano_cpus = SLOW_CPUS.parse().map(|cpus: f64| format!("{:.0}", cpus * 1e9));
-        if slow_nano_cpus.is_ok_and(|slow| slow == nano_cpus) {
+        if is_slow(nano_cpus) {
             // The engine cannot remove a limit; all cores have the same effect.
             let cpus = cpus.map_or_else(
                 || self.run(&["info", "--format", "{{.NCPU}}"]),
@@ -450,6 +477,32 @@ impl Docker {
         }
         Ok(())
     }
+}
+
+/// Whether a limit of processor cores, in billionths, is the one of slow containers.
+fn is_slow(nano_cpus: &str) -> bool {
+    let slow_nano_cpus = SLOW_CPUS.parse().map(|cpus: f64| format!("{:.0}", cpus * 1e9));
+    slow_nano_cpus.is_ok_and(|slow| slow == nano_cpus)
+}
+
+/// Runs `reveille clock ARGS` in the container of the base station, with this program's terminal.
+///
+/// # Errors
+/// If `docker` cannot be started.
+pub(super) fn clock_in_foreground(bs: &Container, args: &[String]) -> anyhow::Result<ExitCode> {
+    let mut command = Command::new("docker");
+    command.args(["exec", &bs.id, "reveille", "clock"]).args(args);
+    exit_code_in_foreground(&mut command)
+}
+
+/// Runs a command with this program's terminal, and returns its exit code.
+fn exit_code_in_foreground(command: &mut Command) -> anyhow::Result<ExitCode> {
+    let status = command.status()?;
+    // A shell reports a signal in the same way.
+    let code = status.code().or_else(|| status.signal().map(|signal| 128 + signal));
+    Ok(ExitCode::from(
+        code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1),
+    ))
 }
 
 /// Runs a command without input, and returns its output.

@@ -23,7 +23,7 @@ use anyhow::{Context, ensure};
 
 use self::compose::write_compose;
 use self::config::{CONFIG_FILE, TestbedConfig};
-use self::docker::{Container, Docker, POLL_INTERVAL, Project, shorten_clock};
+use self::docker::{Container, Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
 use self::placement::{BS_SERVICE, DASHBOARD_SERVICE};
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
         TestbedCommand::Init(args) => init(args)?,
         TestbedCommand::Up(args) => return up::run(args),
         TestbedCommand::Down(folder) => {
-            let (docker, project) = find_project(&folder.path)?;
+            let (docker, project) = find_project(&folder.path).or_else(|error| find_started(&folder.path, error))?;
             docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
             note!(
                 "removed the containers, the network and the volumes of {}",
@@ -62,6 +62,10 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
             let options = follow.then_some("--follow").into_iter().chain(container.as_deref());
             let command = [&["logs"][..], &options.collect::<Vec<_>>()].concat();
             return docker.compose_in_foreground(&project, &command);
+        }
+        TestbedCommand::Clock { folder, args } => {
+            let (docker, project) = find_project(folder)?;
+            return clock_in_foreground(&docker.container(&project, BS_SERVICE)?, args);
         }
         TestbedCommand::Results(folder) => {
             let testbed = Testbed::load(&folder.path)?;
@@ -141,6 +145,23 @@ fn find_project(folder: &Path) -> anyhow::Result<(Docker, Project)> {
     Ok((docker, project))
 }
 
+/// Returns the engine and the project whose containers were started from `folder`, without reading its description.
+///
+/// # Errors
+/// `error`, if there are none.
+fn find_started(folder: &Path, error: anyhow::Error) -> anyhow::Result<(Docker, Project)> {
+    let docker = Docker::find()?;
+    let Some(name) = docker.project_started_from(folder)? else {
+        return Err(error);
+    };
+    note!("{error:#}; removing the containers that were started from this folder");
+    let project = Project {
+        folder: folder.to_owned(),
+        name,
+    };
+    Ok((docker, project))
+}
+
 /// Prints the clock and all containers.
 fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
     let (docker, project) = find_project(&testbed.folder)?;
@@ -158,13 +179,16 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
             clock.unwrap_or_else(|_| "the base station does not answer".to_owned())
         }
     };
-    let memory = docker.memory(&containers)?;
+    let (memory, slow) = (docker.memory(&containers)?, docker.slow_containers(&containers)?);
     let services = testbed.services();
     let mut text = format!("{}: {}\n", testbed.config.name, shorten_clock(&clock, &services));
     let width = services.iter().map(String::len).max().unwrap_or_default();
     for service in services {
         let container = containers.iter().find(|container| container.service == service);
-        let state = container.map_or_else(|| "not created".to_owned(), Container::state);
+        let mut state = container.map_or_else(|| "not created".to_owned(), Container::state);
+        if container.is_some_and(|container| slow.iter().any(|id| id.starts_with(&container.id))) {
+            state.push_str(", slow");
+        }
         let memory = container.and_then(|container| memory.get(&container.id));
         let own = testbed.containers.iter().find(|other| other.service == service);
         let devices = own.map_or_else(String::new, |own| {
