@@ -57,7 +57,8 @@ pub(crate) fn listen_error(option: &str, address: &str, error: &std::io::Error) 
         let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
         anyhow!("{option} {address}: the port is in use; choose another port, or {option} {host}:0 for any free port")
     } else {
-        anyhow!("{option} {address}: {error}; give ADDRESS:PORT of this machine, such as 127.0.0.1:9464")
+        let port = if option == "--metrics" { 9464 } else { 8464 };
+        anyhow!("{option} {address}: {error}; give ADDRESS:PORT of this machine, such as 127.0.0.1:{port}")
     }
 }
 

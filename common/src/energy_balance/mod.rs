@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use crate::deployment::Deployment;
 use crate::digits::format_significant;
 use crate::geometry::share_out_of_reach;
-use crate::harvest::{HarvestGap, HarvestSetup};
+use crate::harvest::{Harvest, HarvestGap, HarvestSetup};
 use crate::ids::Tti;
 use crate::scenario::{DeviceClass, Scenario};
 
@@ -56,6 +56,8 @@ pub struct ClassBalance {
     /// The longest stretch of the run in which some device of the class harvests nothing, the first of equal ones.
     /// `None` if energy can arrive in any TTI.
     pub longest_gap: Option<HarvestGap>,
+    /// λτ of a source whose arrivals follow Eq. (5); `None` for other sources.
+    pub eq5_rate: Option<f64>,
 }
 
 /// Expected harvest of a group of devices, units per TTI, overflow included.
@@ -121,6 +123,10 @@ impl EnergyBalance {
                     .range((index, 0)..=(index, u32::MAX))
                     .filter_map(|(_, (setup, _))| setup.longest_gap(&deployment.traces, ttis))
                     .max_by_key(|gap| (gap.ttis, Reverse(gap.first))),
+                eq5_rate: match &class.harvest {
+                    Harvest::Eq5(arrivals) => Some(arrivals.lambda * scenario.run.tau),
+                    Harvest::ExpMinusLambda(_) | Harvest::Mpp(_) | Harvest::Diurnal(_) | Harvest::Trace(_) => None,
+                },
             })
         };
         let mut tti_seconds: Vec<f64> = scenario
@@ -170,6 +176,16 @@ impl EnergyBalance {
             .iter()
             .filter_map(|class| Some(format!("{}{}", self.subject(class), class.warning(self)?)))
             .collect();
+        for class in &self.classes {
+            if let Some(rate) = class.eq5_rate.filter(|rate| *rate > 1.0) {
+                warnings.push(format!(
+                    "{}the product of harvest.lambda and tau is {}; above 1, the harvest of Eq. (5) falls when \
+                     harvest.lambda rises; use a lower harvest.lambda, or raise harvest.e_b",
+                    self.subject(class),
+                    format_significant(rate, 3)
+                ));
+            }
+        }
         if let [first, .., last] = self.tti_seconds.as_slice() {
             warnings.push(format!(
                 "the energy sources disagree on the duration of a TTI, {first} s to {last} s; set \

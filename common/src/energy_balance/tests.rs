@@ -257,6 +257,17 @@ fn affordable_sensing_spends_the_harvest_exactly() {
 }
 
 #[test]
+fn a_rate_above_the_maximum_of_eq5_has_a_warning() {
+    let warns = |set: &[&str]| {
+        let warnings = balance_with(set).warnings();
+        warnings.iter().any(|warning| warning.contains("Eq. (5) falls"))
+    };
+    assert!(warns(&["harvest.lambda=1.5"]) && warns(&["harvest.lambda=0.6", "tau=2"]));
+    assert!(!warns(&["harvest.lambda=1"]) && !warns(&["harvest.lambda=0.6"]));
+    assert!(!warns(&["harvest.lambda=1.5", "harvest.kind=exp-minus-lambda"]));
+}
+
+#[test]
 fn a_harvest_that_hardly_pays_for_sensing_has_a_warning() {
     let warns = |set: &[&str]| {
         let warnings = balance_with(set).warnings();

@@ -180,7 +180,7 @@ impl ActionArgs {
                 .map_err(anyhow::Error::msg)
                 .with_context(option)?;
             let actions = action_script::parse(&text, scenario).with_context(option)?;
-            if let Some(warning) = action_script::warm_up_warning(&actions, scenario) {
+            for warning in action_script::warnings(&actions, scenario) {
                 tracing::warn!("{}: {warning}", option());
             }
             inputs.actions.extend(actions);

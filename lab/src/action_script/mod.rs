@@ -19,6 +19,7 @@ use std::str::FromStr;
 use reveille_bs::actions::check_change;
 use reveille_bs::scenario::Scenario;
 use reveille_common::declare::{FileError, Files, describe_read_error};
+use reveille_common::digits::count_noun;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
@@ -120,6 +121,42 @@ pub fn warm_up_warning(actions: &[OperatorAction], scenario: &Scenario) -> Optio
          --set warm_up={warm_up} to count from the first action",
         early().count(),
         actions.len()
+    ))
+}
+
+/// Returns warnings about `actions` that probably do not mean what they say, sentences without their stops.
+pub fn warnings(actions: &[OperatorAction], scenario: &Scenario) -> Vec<String> {
+    let revival = useless_revival_warning(actions, scenario.run.devices as usize);
+    warm_up_warning(actions, scenario).into_iter().chain(revival).collect()
+}
+
+/// Returns a warning if a revival comes while none of its devices is failed, such as before their failure.
+fn useless_revival_warning(actions: &[OperatorAction], device_count: usize) -> Option<String> {
+    let mut is_failed = vec![false; device_count];
+    let mut useless_ttis = actions.iter().filter_map(|action| {
+        let range = action.change.with_all_resolved(device_count as u32).devices()?;
+        let devices = is_failed
+            .iter_mut()
+            .skip(range.first.0 as usize)
+            .take(range.count as usize);
+        match action.change {
+            Change::Fail(_) => devices.for_each(|is_failed| *is_failed = true),
+            Change::Revive(_) => {
+                let failed_count = devices
+                    .filter_map(|is_failed| std::mem::take(is_failed).then_some(()))
+                    .count();
+                return (failed_count == 0).then_some(action.tti);
+            }
+            Change::AddEnergy(..) | Change::Set(..) => {}
+        }
+        None
+    });
+    let first = useless_ttis.next()?;
+    let count = 1 + useless_ttis.count();
+    Some(format!(
+        "{} without effect, the first in TTI {first}: none of the devices is failed then; a failure must come before \
+         its revival",
+        count_noun(count, "revival")
     ))
 }
 

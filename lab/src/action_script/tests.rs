@@ -201,6 +201,41 @@ fn an_invalid_line_is_refused_with_the_fix() {
 }
 
 #[test]
+fn a_revival_without_a_failure_causes_a_warning() {
+    let scenario = test_scenario();
+    let warning = |text: &str| {
+        let warnings = warnings(&parse(text, &scenario).expect(text), &scenario);
+        assert!(warnings.len() <= 1, "{warnings:?}");
+        warnings.into_iter().next()
+    };
+    for text in [
+        "700 fail 3\n900 revive 3",
+        "700 fail 3\n900 revive all",
+        "700 fail all for 9\n800 fail 0-4\n900 revive 4-5",
+        "from 700 every 100 fail 0-9 for 50 at random",
+    ] {
+        assert_eq!(warning(text), None, "{text}");
+    }
+    for (text, start) in [
+        (
+            "900 fail 3\n700 revive 3",
+            "1 revival without effect, the first in TTI 700",
+        ),
+        (
+            "700 fail 3 for 100\n900 revive 3",
+            "1 revival without effect, the first in TTI 900",
+        ),
+        (
+            "700 revive 3\n800 fail 3\n900 revive 4\n950 revive all",
+            "2 revivals without effect, the first in TTI 700",
+        ),
+    ] {
+        let warning = warning(text).expect(text);
+        assert!(warning.starts_with(start), "{text}: {warning}");
+    }
+}
+
+#[test]
 fn actions_in_the_warm_up_cause_a_warning() {
     let scenario = test_scenario();
     let warning = |text: &str| warm_up_warning(&parse(text, &scenario).expect(text), &scenario);

@@ -167,7 +167,7 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
 }
 
 /// Reads the script of `actions`, checks it in all `cells`, and replaces a path in `actions` by the lines. The first
-/// cell with actions in the warm-up gets a warning.
+/// cell with doubtful actions gets the warnings.
 fn read_actions(actions: &mut SweepActions, cells: &mut [GridCell], files: &dyn Files) -> Result<(), SweepError> {
     let refused = |name: String, reason: String| SweepError::Actions { name, reason };
     let (name, text) = match actions {
@@ -182,11 +182,11 @@ fn read_actions(actions: &mut SweepActions, cells: &mut [GridCell], files: &dyn 
     for cell in cells {
         let parsed = action_script::parse(&text, &cell.scenario);
         let parsed = parsed.map_err(|error| refused(name.clone(), format!("{error}; in the cell {}", cell.label)))?;
-        let warning = action_script::warm_up_warning(&parsed, &cell.scenario).filter(|_| !has_warned);
-        if let Some(warning) = warning {
-            cell.warnings
-                .push(format!("{name}: {warning}; in the cell {}", cell.label));
-            has_warned = true;
+        if !has_warned {
+            let warnings = action_script::warnings(&parsed, &cell.scenario);
+            has_warned = !warnings.is_empty();
+            let in_cell = |warning| format!("{name}: {warning}; in the cell {}", cell.label);
+            cell.warnings.extend(warnings.into_iter().map(in_cell));
         }
     }
     *actions = SweepActions::Script(text);

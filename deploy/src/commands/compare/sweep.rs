@@ -67,14 +67,14 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let separate_results = tables::read_separately(&tables)?;
     let table_differences = tables::compare(&separate_results, &metrics);
     if conditions.iter().all(|(_, rows)| rows.is_empty()) && table_differences.is_empty() {
-        let other_tables = if tables.len() > 1 {
-            ", and no policy has runs with the same N and seeds but other settings in another table"
+        let pairs = if tables.len() > 1 {
+            "no two policies and no two settings of a policy have"
         } else {
-            ""
+            "no two policies have"
         };
         bail!(
-            "{}: no other policy has runs with the N and seeds of {reference}{other_tables}; add policies to the \
-             sweep, with `reveille sweep --policies`, or name two sweeps with different settings",
+            "{}: nothing to compare: {pairs} runs with the same N and seeds; give one sweep several policies, such as \
+             `reveille sweep --policies {reference},random`, or repeat it with the same N, seeds and --ttis",
             results.tables[0].name
         );
     }

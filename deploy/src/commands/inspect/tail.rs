@@ -9,7 +9,7 @@ use anyhow::bail;
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::DeviceId;
-use reveille_common::message::{Frame, MessageKind, Plane};
+use reveille_common::message::{Frame, Message, MessageKind, Plane};
 use reveille_common::state::DeviceState;
 use reveille_view::device_mirror::DeviceMirror;
 use reveille_view::filter::Filter;
@@ -246,7 +246,18 @@ impl<'a> Printer<'a> {
         if self.args.json {
             line.to_json()
         } else {
-            self.coloured(kind, line.to_string())
+            self.coloured(kind, format!("{line}{}", self.state_in_plan(line)))
+        }
+    }
+
+    /// What a plan means for the only requested device, since the text of a plan names only some devices.
+    fn state_in_plan(&self, line: &FrameLine<'_>) -> String {
+        match (self.args.device, &line.message) {
+            (Some(device), Ok(Message::Plan(update))) => {
+                let delta = u8::from(update.plan.is_on(DeviceId(device), update.from));
+                format!("; δ = {delta} for device {device}")
+            }
+            _ => String::new(),
         }
     }
 
