@@ -465,7 +465,7 @@ def made_testbed(testbed):
         for kind in ("container", "volume", "network"):
             left = run("docker", kind, "ls", *(["--all"] if kind == "container" else []), "--quiet", "--filter", label).stdout
             assert not left, f"{kind}: {left}"
-    return f"1500 TTIs with 5 faults and an interruption in {duration:.0f} s, {summary['timing']['losses']} losses in the last part"
+    return f"1500 TTIs with {len(schedule)} faults and an interruption in {duration:.0f} s, {summary['timing']['losses']} losses in the last part"
 
 
 CASES = {
