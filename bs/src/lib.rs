@@ -25,3 +25,4 @@ pub mod policy;
 pub mod scenario;
 pub mod server;
 pub mod session;
+pub mod vector_width;

@@ -11,10 +11,11 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use reveille_bs::policy::dt::model::ModelShape;
 use reveille_bs::policy::dt::model::infer::ForwardPass;
 use reveille_bs::policy::dt::model::weights::ModelWeights;
-use reveille_bs::policy::dt::model::{ModelShape, VectorWidth};
 use reveille_bs::policy::dt::tokens::FEATURE_COUNT;
+use reveille_bs::vector_width::VectorWidth;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_lab::transformer::{Net, encode_file};
 

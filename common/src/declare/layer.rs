@@ -44,7 +44,10 @@ impl<'a> Layer<'a> {
             }),
             Err(error) => {
                 let offset = error.span().map_or(0, |span| span.start);
-                Err(syntax_error(&origin, offset, error.message().to_owned()))
+                // A bare word that begins like `true` or `false` has this message.
+                let is_bare_word = error.message().starts_with("invalid boolean");
+                let hint = if is_bare_word { "; put text in quotes" } else { "" };
+                Err(syntax_error(&origin, offset, format!("{}{hint}", error.message())))
             }
         }
     }

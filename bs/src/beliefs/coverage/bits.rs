@@ -2,6 +2,11 @@
 //! [`Coverage`](super::Coverage); `BitDisc` also serves [`CoverageUnion`](super::CoverageUnion). Digests, rewards and
 //! learned tables depend on which cells a device covers.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
@@ -64,6 +69,37 @@ impl BitDisc {
             rows,
         }
     }
+
+    /// The first words of the rows in the three tiles that have these cells, and the shifts to the east and to the west
+    /// there: tiles overlap by half, so the same cells also appear in the tile to the west and in the tile to the east.
+    const fn tiles(&self, stride: usize) -> [(usize, u32, u32); 3] {
+        let word = self.word as usize;
+        [(word - stride, 32, 0), (word, 0, 0), (word + stride, 0, 32)]
+    }
+
+    /// The rows and columns from the first cell of `other` to the first cell of this disc; `None` if they are so far
+    /// apart that the discs have no common cell.
+    fn offset_in(&self, other: &Self) -> Option<(i32, i32)> {
+        let limit = DISC_SIDE as u32;
+        let distance = |own: u32, other: u32| own.cast_signed() - other.cast_signed();
+        let rows = distance(self.first_cell.0, other.first_cell.0);
+        let columns = distance(self.first_cell.1, other.first_cell.1);
+        (rows.unsigned_abs() < limit && columns.unsigned_abs() < limit).then_some((rows, columns))
+    }
+
+    /// Calls `take` for each row of `other` that this disc can reach, with the index of the row and the cells of this
+    /// disc in it. Bit 0 is the first column of `other`.
+    #[inline(always)]
+    fn for_each_row_in(&self, other: &Self, mut take: impl FnMut(usize, u32)) {
+        let Some((rows, columns)) = self.offset_in(other) else {
+            return;
+        };
+        let (first, own_first) = (rows.max(0) as usize, (-rows).max(0) as usize);
+        for i in first..DISC_SIDE - own_first {
+            let cells = self.rows[i - first + own_first];
+            take(i, cells << columns.max(0) >> (-columns).max(0));
+        }
+    }
 }
 
 impl CoverageBits {
@@ -82,6 +118,7 @@ impl CoverageBits {
         }
     }
 
+    #[inline(always)]
     pub(super) fn clear(&mut self) {
         self.covered.fill(0);
         self.covered_twice.fill(0);
@@ -89,17 +126,19 @@ impl CoverageBits {
     }
 
     /// Returns the number of cells of the `j`-th device that no device covers.
-    #[inline]
+    #[inline(always)]
     pub(super) fn gain(&self, j: usize) -> u32 {
         count_outside(&self.covered, &self.discs[j])
     }
 
     /// Returns the number of cells that only the `j`-th device covers, if it was added.
+    #[inline(always)]
     pub(super) fn loss(&self, j: usize) -> u32 {
         count_outside(&self.covered_twice, &self.discs[j])
     }
 
     /// Adds a device that was not added before.
+    #[inline(always)]
     pub(super) fn add(&mut self, j: usize) {
         let Self {
             stride,
@@ -110,9 +149,8 @@ impl CoverageBits {
         } = self;
         let disc = &discs[j];
         *covered_count += count_outside(covered, disc);
-        let (word, shift) = (disc.word as usize, disc.shift);
-        // Tiles overlap by half, so the same cells also appear in the tile to the west and in the tile to the east.
-        for (begin, to_east, to_west) in [(word - *stride, 32, 0), (word, 0, 0), (word + *stride, 0, 32)] {
+        for (begin, to_east, to_west) in disc.tiles(*stride) {
+            let shift = disc.shift;
             let covered = covered[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
             let covered_twice = covered_twice[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
             for i in 0..DISC_SIDE {
@@ -123,13 +161,52 @@ impl CoverageBits {
         }
     }
 
+    /// Removes a device that was added. `others` are the added devices without it.
+    #[inline(always)]
+    pub(super) fn remove(&mut self, j: usize, others: &[u32]) {
+        let Self {
+            stride,
+            covered,
+            covered_twice,
+            discs,
+            covered_count,
+        } = self;
+        let disc = &discs[j];
+        // Only cells of the disc change. Here the others cover them.
+        let (mut by_others, mut by_others_twice) = ([0; DISC_SIDE], [0; DISC_SIDE]);
+        for other in others {
+            discs[*other as usize].for_each_row_in(disc, |i, cells| {
+                by_others_twice[i] |= by_others[i] & cells;
+                by_others[i] |= cells;
+            });
+        }
+        let lost_cells = |i: usize| (disc.rows[i] & !by_others[i]).count_ones();
+        *covered_count -= (0..DISC_SIDE).map(lost_cells).sum::<u32>();
+        for (begin, to_east, to_west) in disc.tiles(*stride) {
+            let shift = disc.shift;
+            let covered = covered[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            let covered_twice = covered_twice[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            for i in 0..DISC_SIDE {
+                let in_tile = |cells: u32| u64::from(cells) << shift << to_east >> to_west;
+                let cells = in_tile(disc.rows[i]);
+                covered[i] = covered[i] & !cells | in_tile(by_others[i] & disc.rows[i]);
+                covered_twice[i] = covered_twice[i] & !cells | in_tile(by_others_twice[i] & disc.rows[i]);
+            }
+        }
+    }
+
+    /// Whether the discs of two devices may have a common cell. If not, neither affects the gain or loss of the other.
+    pub(super) fn may_overlap(&self, a: usize, b: usize) -> bool {
+        self.discs[a].offset_in(&self.discs[b]).is_some()
+    }
+
     /// Number of covered cells.
     pub(super) const fn covered_count(&self) -> u32 {
         self.covered_count
     }
 
     /// Returns whether the `j`-th device covers the cell.
-    #[inline]
+    #[inline(always)]
     pub(super) fn reaches(&self, j: usize, row: u32, column: u32) -> bool {
         let BitDisc { first_cell, rows, .. } = &self.discs[j];
         let (row, column) = (
@@ -141,7 +218,7 @@ impl CoverageBits {
 
     /// Returns the uncovered cells of `row` from `column` on as bits. The first cell is the lowest bit, and at least 33
     /// bits are valid.
-    #[inline]
+    #[inline(always)]
     pub(super) fn uncovered_from(&self, row: u32, column: u32) -> u64 {
         !self.covered[(1 + column as usize / 32) * self.stride + row as usize] >> (column % 32)
     }
@@ -150,7 +227,7 @@ impl CoverageBits {
 const ROWS_FIT: &str = "there are empty rows above";
 
 /// Returns the number of cells of `disc` that are not in `words`.
-#[inline]
+#[inline(always)]
 fn count_outside(words: &[u64], disc: &BitDisc) -> u32 {
     let words = words[disc.word as usize..].first_chunk::<DISC_SIDE>().expect(ROWS_FIT);
     let rows = words.iter().zip(&disc.rows);

@@ -5,6 +5,11 @@
 //! memory. Both give bit-equal results. `tests/src/reference/q_learning.rs` and a test of the training repeat the cell
 //! sizes.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 mod bits;
 mod blocks;
 mod shares;
@@ -43,6 +48,9 @@ const UNITS_PER_PARTIAL_CELL: u32 = 64;
 /// Quanta per unit if detection is probabilistic. A cell has 64 · `QUANTA_PER_UNIT` − 1 quanta, the maximum of a `u16`.
 const QUANTA_PER_UNIT: u64 = (QUANTA_PER_CELL as u64 + 1) / UNITS_PER_PARTIAL_CELL as u64;
 
+/// Approximate cost of a removal in additions.
+const ADDITIONS_PER_REMOVAL: usize = 3;
+
 /// The part of the area covered by the devices added so far.
 ///
 /// With certain detection, a device covers the cells that lie fully within d_max, and coverage counts whole cells. With
@@ -54,8 +62,10 @@ pub(crate) struct Coverage {
     cell_blocks: CellBlocks,
     /// Devices already added. A device counts once: for one event it detects always or never.
     is_added: Vec<bool>,
-    /// List of the added devices, for [`Self::clear`].
+    /// List of the added devices.
     added_devices: Vec<u32>,
+    /// Memory of [`Self::replace`].
+    is_wanted: Vec<bool>,
 }
 
 #[derive(Clone, Debug)]
@@ -87,10 +97,12 @@ impl Coverage {
             cell_blocks,
             is_added: vec![false; positions.len()],
             added_devices: Vec::new(),
+            is_wanted: vec![false; positions.len()],
         }
     }
 
     /// Removes all devices.
+    #[inline(always)]
     pub(crate) fn clear(&mut self) {
         match &mut self.model {
             CoverageModel::Range(bits) => bits.clear(),
@@ -114,7 +126,7 @@ impl Coverage {
     }
 
     /// Returns the gain in units, rounded down, for comparisons.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn gain_in_units(&self, j: usize) -> u32 {
         if self.is_added[j] {
             return 0;
@@ -127,6 +139,7 @@ impl Coverage {
 
     /// Returns the number of units that would be uncovered without the `j`-th device, which was added. `None` if
     /// detection is probabilistic, since all devices then cover cells in part and no device alone covers a cell.
+    #[inline(always)]
     pub(crate) fn loss_in_units(&self, j: usize) -> Option<u32> {
         match &self.model {
             CoverageModel::Range(bits) => Some(bits.loss(j)),
@@ -144,6 +157,7 @@ impl Coverage {
     }
 
     /// Adds the `j`-th device. Without effect if it was added before.
+    #[inline(always)]
     pub(crate) fn add(&mut self, j: usize) {
         if std::mem::replace(&mut self.is_added[j], true) {
             return;
@@ -152,6 +166,53 @@ impl Coverage {
         match &mut self.model {
             CoverageModel::Range(bits) => bits.add(j),
             CoverageModel::Probabilistic(shares) => shares.add(j),
+        }
+    }
+
+    /// Removes the `j`-th device, which was added.
+    #[inline(always)]
+    pub(crate) fn remove(&mut self, j: usize) {
+        self.is_added[j] = false;
+        self.added_devices.retain(|device| *device as usize != j);
+        match &mut self.model {
+            CoverageModel::Range(bits) => bits.remove(j, &self.added_devices),
+            CoverageModel::Probabilistic(shares) => {
+                shares.clear();
+                self.added_devices
+                    .iter()
+                    .for_each(|device| shares.add(*device as usize));
+            }
+        }
+    }
+
+    /// Adds and removes devices until exactly those in `devices` are added.
+    #[inline(always)]
+    pub(crate) fn replace(&mut self, devices: impl Iterator<Item = usize> + Clone) {
+        let mut is_wanted = std::mem::take(&mut self.is_wanted);
+        is_wanted.fill(false);
+        let mut wanted_count = 0;
+        for j in devices.clone() {
+            wanted_count += usize::from(!std::mem::replace(&mut is_wanted[j], true));
+        }
+        let mut unwanted = self.added_devices.clone();
+        unwanted.retain(|device| !is_wanted[*device as usize]);
+        // A removal costs as much as some additions.
+        if ADDITIONS_PER_REMOVAL * unwanted.len() > wanted_count {
+            self.clear();
+        } else {
+            for device in unwanted {
+                self.remove(device as usize);
+            }
+        }
+        devices.for_each(|j| self.add(j));
+        self.is_wanted = is_wanted;
+    }
+
+    /// Whether one of two devices can change the gain or loss of the other.
+    pub(crate) fn may_overlap(&self, a: usize, b: usize) -> bool {
+        match &self.model {
+            CoverageModel::Range(bits) => bits.may_overlap(a, b),
+            CoverageModel::Probabilistic(_) => true,
         }
     }
 
@@ -178,7 +239,7 @@ impl Coverage {
     }
 
     /// Returns whether a cell of `block` is uncovered; always true if detection is probabilistic.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn has_uncovered(&self, block: usize) -> bool {
         let CoverageModel::Range(bits) = &self.model else {
             return true;
@@ -208,7 +269,7 @@ impl Coverage {
     }
 
     /// Returns whether no added device fully covers `cell`; always true if detection is probabilistic.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn is_uncovered(&self, cell: CellPosition) -> bool {
         match &self.model {
             CoverageModel::Range(bits) => bits.uncovered_from(cell.row, cell.column) & 1 == 1,
@@ -218,7 +279,7 @@ impl Coverage {
 
     /// Returns whether the `j`-th device covers `cell`; always true if detection is probabilistic, since the one cell
     /// of `CellBlocks::single` is the whole area.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn reaches(&self, j: usize, cell: CellPosition) -> bool {
         match &self.model {
             CoverageModel::Range(bits) => bits.reaches(j, cell.row, cell.column),

@@ -103,6 +103,15 @@ fn messages_name_field_value_range_and_line() {
 }
 
 #[test]
+fn text_without_quotes_has_a_hint() {
+    for text in ["layout.kind = two", "layout.kind = file"] {
+        let message = load_text(text).expect_err(text).to_string();
+        assert!(message.starts_with("my.toml, line 1: not valid TOML"), "{message}");
+        assert!(message.contains("put text in quotes"), "{message}");
+    }
+}
+
+#[test]
 fn pilot_runs_have_the_limits_of_runs() {
     let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000\n\
                 harvest.e_b = 100";

@@ -15,9 +15,10 @@
 
 use std::sync::Arc;
 
-use super::kernel::{ColumnSlice, KeyValueSum, VectorWidth, add, dot, relu, rms_norm, softmax, weighted_mean};
+use super::kernel::{ColumnSlice, KeyValueSum, add, dot, relu, rms_norm, softmax, weighted_mean};
 use super::weights::{AttentionLayer, FeedForward, ModelWeights};
 use super::{EXPANSION, OUTPUTS, PRICE_WIDTH};
+use crate::vector_width::VectorWidth;
 
 /// Least feature of a key or query, so that every device attends to every other.
 pub const MIN_FEATURE: f32 = 0.01;

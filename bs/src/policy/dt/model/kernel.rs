@@ -3,8 +3,8 @@
 //! Every output of a product is summed in the order of the inner dimension, with separate multiplications and
 //! additions. Its bits are therefore the same on every machine. They must stay so: the decisions of `dt` and the digest
 //! of a run depend on them. Outputs are computed side by side, which the compiler turns into vector instructions of the
-//! chosen [`VectorWidth`]. Code must be inlined into [`VectorWidth::run`] to use them, so every function here is marked
-//! for inlining.
+//! chosen [`VectorWidth`](crate::vector_width::VectorWidth). Code must be inlined into `VectorWidth::run` to use them,
+//! so every function here is marked for inlining.
 //!
 //! Loops over `as_chunks` take four columns at a time and silently skip a remainder. Rows must therefore have a
 //! multiple of four columns, as [`super::ModelShape::is_valid`] requires of a head.
@@ -14,63 +14,10 @@
     reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
 )]
 
-use pulp::Scalar;
-use pulp::Simd as _;
-#[cfg(target_arch = "x86_64")]
-use pulp::x86::{V3, V4};
-
 /// Number of output columns that are computed side by side.
 const TILE_COLUMNS: usize = 16;
 /// Number of output rows that share a load of the weights.
 const BLOCK_ROWS: usize = 6;
-
-/// Set of vector instructions. It changes the time of a sum but not its bits.
-#[derive(Clone, Copy, Debug)]
-pub enum VectorWidth {
-    /// Baseline instructions of the architecture.
-    Baseline(Scalar),
-    /// x86-64-v3: eight numbers per instruction.
-    #[cfg(target_arch = "x86_64")]
-    V3(V3),
-    /// x86-64-v4: sixteen numbers per instruction.
-    #[cfg(target_arch = "x86_64")]
-    V4(V4),
-}
-
-impl VectorWidth {
-    /// Returns the sets that this CPU supports.
-    pub fn supported() -> Vec<Self> {
-        let mut supported = vec![Self::Baseline(Scalar)];
-        #[cfg(target_arch = "x86_64")]
-        {
-            supported.extend(V3::try_new().map(Self::V3));
-            supported.extend(V4::try_new().map(Self::V4));
-        }
-        supported
-    }
-
-    /// Returns the set that is used, never v4. On some CPUs v4 is a few hundredths faster; where it lowers the clock,
-    /// it takes half as long again.
-    pub fn fastest() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(v3) = V3::try_new() {
-            return Self::V3(v3);
-        }
-        Self::Baseline(Scalar)
-    }
-
-    /// Returns the result of `work`, which is compiled for these instructions where it is inlined.
-    #[inline(always)]
-    pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
-        match self {
-            Self::Baseline(scalar) => scalar.vectorize(work),
-            #[cfg(target_arch = "x86_64")]
-            Self::V3(v3) => v3.vectorize(work),
-            #[cfg(target_arch = "x86_64")]
-            Self::V4(v4) => v4.vectorize(work),
-        }
-    }
-}
 
 /// A linear map: `out = x · weight + bias`.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,7 +10,7 @@ pub mod weights;
 
 use super::tokens;
 
-pub use kernel::{NORM_EPSILON, VectorWidth};
+pub use kernel::NORM_EPSILON;
 
 /// Largest number of TTIs that a model can look back, including its own.
 pub(crate) const MAX_MEMORY: u64 = 64;

@@ -11,9 +11,10 @@ use safetensors::{Dtype, SafeTensors};
 
 use super::super::tokens::FEATURE_COUNT;
 use super::infer::{ForwardPass, MIN_FEATURE, OUTPUT_LIMIT};
-use super::kernel::{NORM_EPSILON, VectorWidth};
+use super::kernel::NORM_EPSILON;
 use super::weights::{METADATA_KEY, ModelError, ModelWeights, encode_metadata};
 use super::{ModelObjective, ModelShape, OUTPUTS};
+use crate::vector_width::VectorWidth;
 
 type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
 

@@ -2,11 +2,35 @@
 //! comparisons are of whole numbers, so the choice is the same on every machine; digests depend on it.
 //! `tests/src/reference/q_learning.rs` repeats it for comparison.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
+use pulp::NullaryFnOnce;
 use reveille_common::ids::DeviceId;
 
 use super::traits::{Gain, PASS_MIN_BUCKETS};
 use crate::beliefs::coverage::{CellPosition, Coverage};
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, area_bucket};
+use crate::vector_width::VectorWidth;
+
+/// A call of [`SequentialSelector::choose`].
+struct Choice<'s, F> {
+    selector: &'s mut SequentialSelector,
+    is_free: F,
+}
+
+impl<F: Fn(usize) -> bool> NullaryFnOnce for Choice<'_, F> {
+    type Output = Vec<DeviceId>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let mut chosen = self.selector.choose_all(self.is_free);
+        self.selector.remove_superfluous(&mut chosen);
+        chosen
+    }
+}
 
 /// Low bits of a key that hold the inverted device id, enough for `MAX_DEVICES`.
 const ID_BITS: u32 = 24;
@@ -37,6 +61,7 @@ pub(super) struct SequentialSelector {
     key_bounds: Vec<u64>,
     /// Devices that can cover a cell of the current block and can still be chosen, in the order of ids.
     block_devices: Vec<u32>,
+    vector_width: VectorWidth,
 }
 
 impl SequentialSelector {
@@ -55,6 +80,7 @@ impl SequentialSelector {
             battery_buckets: vec![0; device_count],
             key_bounds: vec![0; device_count],
             block_devices: Vec::with_capacity(device_count),
+            vector_width: VectorWidth::fastest(),
             coverage,
         }
     }
@@ -64,17 +90,15 @@ impl SequentialSelector {
     }
 
     /// Begins a TTI with these battery buckets, in which only the devices in `covering` cover places.
-    pub(super) fn begin(&mut self, battery_buckets: &[u8], covering: impl Iterator<Item = DeviceId>) {
+    pub(super) fn begin(&mut self, battery_buckets: &[u8], covering: impl Iterator<Item = DeviceId> + Clone) {
         self.battery_buckets.copy_from_slice(battery_buckets);
         self.set_covering(covering);
     }
 
     /// Makes the devices in `covering` the only ones that cover places.
-    pub(super) fn set_covering(&mut self, covering: impl Iterator<Item = DeviceId>) {
-        self.coverage.clear();
-        for device in covering {
-            self.coverage.add(device.index());
-        }
+    pub(super) fn set_covering(&mut self, covering: impl Iterator<Item = DeviceId> + Clone) {
+        self.vector_width
+            .run(|| self.coverage.replace(covering.map(DeviceId::index)));
     }
 
     pub(super) fn add(&mut self, j: usize) {
@@ -94,9 +118,15 @@ impl SequentialSelector {
         self.coverage.uncovered()
     }
 
-    /// Chooses among the devices that satisfy `is_free` and do not cover places yet. Adds the chosen devices and
-    /// returns them in the order of choice.
+    /// Chooses among the devices that satisfy `is_free` and do not cover places yet, without those that later choices
+    /// made superfluous. Adds the chosen devices and returns them in the order of choice.
     pub(super) fn choose(&mut self, is_free: impl Fn(usize) -> bool) -> Vec<DeviceId> {
+        let selector = self;
+        selector.vector_width.run(Choice { selector, is_free })
+    }
+
+    #[inline(always)]
+    fn choose_all(&mut self, is_free: impl Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = Vec::new();
         for min_bucket in PASS_MIN_BUCKETS {
             for j in 0..self.key_bounds.len() {
@@ -109,6 +139,7 @@ impl SequentialSelector {
     }
 
     /// Adds devices to `chosen` until no candidate is left for any uncovered cell. Requires current `key_bounds`.
+    #[inline(always)]
     fn cover_cells(&mut self, chosen: &mut Vec<DeviceId>) {
         for block in 0..self.coverage.block_count() {
             if !self.coverage.has_uncovered(block) {
@@ -135,6 +166,7 @@ impl SequentialSelector {
     }
 
     /// Returns the device with the largest key that reaches `cell`, if any has an advantage.
+    #[inline(always)]
     fn choose_best(&mut self, cell: CellPosition) -> Option<u32> {
         // The device with the highest bound is evaluated first, which rules out most others without evaluation.
         let (mut max_bound, mut best) = (0, 0);
@@ -161,44 +193,48 @@ impl SequentialSelector {
     }
 
     /// Computes the key of device `j` and makes it its bound.
+    #[inline(always)]
     fn update_key(&mut self, j: u32) -> u64 {
         let key = self.key(j as usize, self.coverage.gain_in_units(j as usize));
         self.key_bounds[j as usize] = key;
         key
     }
 
-    /// Removes superfluous devices from `chosen`, first the one whose removal loses the least coverage. Ties go to the
-    /// device chosen last. `covering` returns the other devices that cover places.
-    pub(super) fn remove_superfluous<I: Iterator<Item = DeviceId>>(
-        &mut self,
-        chosen: &mut Vec<DeviceId>,
-        covering: impl Fn() -> I,
-    ) {
+    /// Removes superfluous devices from `chosen`, which were added, first the one whose removal loses the least
+    /// coverage. Ties go to the device chosen last.
+    #[inline(always)]
+    fn remove_superfluous(&mut self, chosen: &mut Vec<DeviceId>) {
+        let mut losses: Vec<Option<u32>> = chosen.iter().map(|j| self.superfluous_loss(*j)).collect();
         loop {
-            let loss = |j: DeviceId| self.coverage.loss_in_units(j.index());
-            let is_superfluous = |j: DeviceId, units: u32| self.key(j.index(), units) == 0;
-            let superfluous_loss = |(index, &j): (usize, &DeviceId)| {
-                let units = loss(j).filter(|&units| is_superfluous(j, units))?;
-                Some((units, index))
-            };
             // `min_by_key` takes the first of equals, which in reverse order is the device chosen last.
-            let least_useful = chosen
-                .iter()
-                .enumerate()
-                .rev()
-                .filter_map(superfluous_loss)
+            let superfluous = losses.iter().enumerate().rev();
+            let least_useful = superfluous
+                .filter_map(|(index, units)| Some(((*units)?, index)))
                 .min_by_key(|(units, _)| *units);
             let Some((_, index)) = least_useful else { return };
-            chosen.remove(index);
-            // Without that device others cover more places alone, so all losses are recomputed.
-            self.set_covering(covering().chain(chosen.iter().copied()));
+            let removed = chosen.remove(index).index();
+            losses.remove(index);
+            self.coverage.remove(removed);
+            // Without that device, devices near it cover more places alone.
+            for (j, loss) in chosen.iter().zip(&mut losses) {
+                if self.coverage.may_overlap(j.index(), removed) {
+                    *loss = self.superfluous_loss(*j);
+                }
+            }
         }
+    }
+
+    /// Returns the units that would be uncovered without device `j`, which was added, if it is superfluous.
+    #[inline(always)]
+    fn superfluous_loss(&self, j: DeviceId) -> Option<u32> {
+        let units = self.coverage.loss_in_units(j.index())?;
+        (self.key(j.index(), units) == 0).then_some(units)
     }
 
     /// Returns the key: the newly covered units times the charge in sixths, followed by the inverted id. The largest
     /// key has the largest product, and among equal products the lowest id. The key is 0 for a device that cannot
     /// report, covers no new units or has no advantage.
-    #[inline]
+    #[inline(always)]
     fn key(&self, j: usize, units: u32) -> u64 {
         let battery = self.battery_buckets[j];
         let area = self.bucket_by_units[units as usize];

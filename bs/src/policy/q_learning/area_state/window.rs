@@ -20,8 +20,6 @@ pub(super) struct WindowedArea {
     window: usize,
     /// Devices that sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent_sensing: VecDeque<Vec<DeviceId>>,
-    /// Devices of [`AreaState::add`] in this TTI.
-    added: Vec<DeviceId>,
     /// Number of TTIs over which the choice must still be spread, from `window` down to 0.
     spread_ttis: usize,
 }
@@ -34,7 +32,6 @@ impl WindowedArea {
             device_count: positions.len(),
             window,
             recent_sensing: VecDeque::from(vec![Vec::new(); window - 1]),
-            added: Vec::new(),
             spread_ttis: window,
         }
     }
@@ -46,20 +43,16 @@ impl AreaState for WindowedArea {
     }
 
     fn begin_tti(&mut self, battery_buckets: &[u8]) {
-        self.added.clear();
         self.selector
             .begin(battery_buckets, self.recent_sensing.iter().flatten().copied());
     }
 
     fn add(&mut self, j: usize) {
-        self.added.push(DeviceId(j as u32));
         self.selector.add(j);
     }
 
     fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = self.selector.choose(is_free);
-        let covering = || self.recent_sensing.iter().flatten().chain(&self.added).copied();
-        self.selector.remove_superfluous(&mut chosen, covering);
         // All places covered in one TTI are due again together, a window later. The first window is therefore spread:
         // every n-th device in the order of choice, since these are far apart.
         if self.spread_ttis > 1 {
