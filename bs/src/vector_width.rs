@@ -1,6 +1,6 @@
-//! The choice of vector instructions at run time. It changes how long a computation takes, never its result: the digests
-//! of runs depend on the results. Code must be inlined into [`VectorWidth::run`] to be compiled for the instructions, so
-//! the modules that use it mark their functions for inlining.
+//! The choice of vector instructions at run time. It changes the time of a computation, never its result, since the
+//! digests of runs depend on the results. Code must be inlined into [`VectorWidth::run`] to be compiled for the
+//! instructions, so the modules that use it mark their functions for inlining.
 
 #![expect(
     clippy::inline_always,

@@ -124,7 +124,7 @@ pub fn warm_up_warning(actions: &[OperatorAction], scenario: &Scenario) -> Optio
     ))
 }
 
-/// Returns warnings about `actions` that probably do not mean what they say, sentences without their stops.
+/// Returns warnings about actions that are in the warm-up or have no effect, sentences without their stops.
 pub fn warnings(actions: &[OperatorAction], scenario: &Scenario) -> Vec<String> {
     let revival = useless_revival_warning(actions, scenario.run.devices as usize);
     warm_up_warning(actions, scenario).into_iter().chain(revival).collect()

@@ -216,11 +216,21 @@ impl CoverageBits {
         row < DISC_SIDE && column < 32 && rows[row] >> column & 1 == 1
     }
 
-    /// Returns the uncovered cells of `row` from `column` on as bits. The first cell is the lowest bit, and at least 33
-    /// bits are valid.
+    /// Returns whether no device covers the cell.
     #[inline(always)]
-    pub(super) fn uncovered_from(&self, row: u32, column: u32) -> u64 {
-        !self.covered[(1 + column as usize / 32) * self.stride + row as usize] >> (column % 32)
+    pub(super) fn is_uncovered(&self, row: u32, column: u32) -> bool {
+        self.has_uncovered((row, column), (1, 1))
+    }
+
+    /// Returns whether there is a cell that no device covers in a block: its first row and column, and at most 33 rows
+    /// and columns from there.
+    #[inline(always)]
+    pub(super) fn has_uncovered(&self, (row, column): (u32, u32), (rows, columns): (u32, u32)) -> bool {
+        let first = (1 + column as usize / 32) * self.stride + row as usize;
+        let block_rows = &self.covered[first..first + rows as usize];
+        let covered = block_rows.iter().fold(u64::MAX, |covered, row| covered & row);
+        // The words also hold columns beyond the block.
+        (!covered >> (column % 32)) & ((1 << columns) - 1) != 0
     }
 }
 

@@ -6,7 +6,7 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. `CoverageBits::uncovered_from`
+/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. `CoverageBits::has_uncovered`
 /// limits it to 33.
 const BLOCK_SIDE: usize = 4;
 
@@ -87,7 +87,9 @@ impl CellBlocks {
         let mut order: Vec<(u64, usize)> = (0..devices_by_block.len()).map(area_and_block).collect();
         order.sort_unstable();
         let (mut blocks, mut cells, mut devices) = (Vec::new(), Vec::new(), Vec::new());
-        for (_, i) in order {
+        // Devices cannot cover the others.
+        let coverable = order.into_iter().filter(|(_, i)| !devices_by_block[*i].is_empty());
+        for (_, i) in coverable.collect::<Vec<_>>() {
             let corner = (
                 (i / blocks_per_row * BLOCK_SIDE) as u32,
                 (i % blocks_per_row * BLOCK_SIDE) as u32,

@@ -185,7 +185,7 @@ impl Coverage {
         }
     }
 
-    /// Adds and removes devices until exactly those in `devices` are added.
+    /// Adds and removes devices until exactly those in `devices` are added, as if they were added in this order.
     #[inline(always)]
     pub(crate) fn replace(&mut self, devices: impl Iterator<Item = usize> + Clone) {
         let mut is_wanted = std::mem::take(&mut self.is_wanted);
@@ -196,8 +196,9 @@ impl Coverage {
         }
         let mut unwanted = self.added_devices.clone();
         unwanted.retain(|device| !is_wanted[*device as usize]);
-        // A removal costs as much as some additions.
-        if ADDITIONS_PER_REMOVAL * unwanted.len() > wanted_count {
+        // A removal costs as much as some additions. Shares are rounded, so there the order of additions counts.
+        let has_order = matches!(self.model, CoverageModel::Probabilistic(_));
+        if has_order || ADDITIONS_PER_REMOVAL * unwanted.len() > wanted_count {
             self.clear();
         } else {
             for device in unwanted {
@@ -251,9 +252,7 @@ impl Coverage {
             columns,
             ..
         } = self.cell_blocks.blocks[block];
-        let uncovered = (row..row + rows).fold(0, |uncovered, row| uncovered | bits.uncovered_from(row, column));
-        // The word also holds columns beyond the block.
-        uncovered & ((1 << columns) - 1) != 0
+        bits.has_uncovered((row, column), (rows, columns))
     }
 
     /// Returns the cells of a block that devices can cover, in the order in which they should be covered.
@@ -272,7 +271,7 @@ impl Coverage {
     #[inline(always)]
     pub(crate) fn is_uncovered(&self, cell: CellPosition) -> bool {
         match &self.model {
-            CoverageModel::Range(bits) => bits.uncovered_from(cell.row, cell.column) & 1 == 1,
+            CoverageModel::Range(bits) => bits.is_uncovered(cell.row, cell.column),
             CoverageModel::Probabilistic(_) => true,
         }
     }
@@ -334,6 +333,52 @@ mod tests {
     }
 
     #[test]
+    fn removed_devices_leave_no_trace() {
+        for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+            for (width, height) in AREAS {
+                let area = Area { width, height };
+                let positions = place_devices(&Layout::Uniform, area, 40, 5);
+                let new_coverage = || Coverage::new(&positions, area, &sensing(kind));
+                let (mut coverage, mut stream) = (new_coverage(), Stream::new(2, Purpose::Training, 0));
+                for step in 0..60 {
+                    let device_count = stream.below(25);
+                    let wanted: Vec<usize> = (0..device_count).map(|_| stream.below(40) as usize).collect();
+                    let mut expected = new_coverage();
+                    // Half of the sets differ from the one before by a single device.
+                    let expected_devices = if step % 2 == 0 {
+                        coverage.replace(wanted.iter().copied());
+                        wanted
+                    } else if let Some(&first) = coverage.added_devices.first() {
+                        coverage.remove(first as usize);
+                        coverage.added_devices.iter().map(|j| *j as usize).collect()
+                    } else {
+                        Vec::new()
+                    };
+                    for j in expected_devices {
+                        expected.add(j);
+                    }
+                    let state = |coverage: &Coverage| -> Vec<_> {
+                        let by_device = |j| {
+                            (
+                                coverage.contains(j),
+                                coverage.gain_in_units(j),
+                                coverage.loss_in_units(j),
+                            )
+                        };
+                        (0..40).map(by_device).collect()
+                    };
+                    assert_eq!(
+                        state(&coverage),
+                        state(&expected),
+                        "{kind:?}, {width} m wide, step {step}"
+                    );
+                    assert!(coverage.uncovered().to_bits() == expected.uncovered().to_bits());
+                }
+            }
+        }
+    }
+
+    #[test]
     fn covered_cells_are_in_range_and_cover_most_of_it() {
         for (width, height) in AREAS {
             let area = Area { width, height };
@@ -353,7 +398,7 @@ mod tests {
                     (place.y / raster.cell_height) as usize,
                     (place.x / raster.cell_width) as usize,
                 );
-                let is_covered = bits.uncovered_from(row as u32, column as u32) & 1 == 0;
+                let is_covered = !bits.is_uncovered(row as u32, column as u32);
                 assert_eq!(is_covered, is_in_any_disc(row as u32, column as u32));
                 let is_in_range = positions.iter().any(|device| device.distance(place) <= 4.0);
                 assert!(

@@ -394,7 +394,7 @@ mod tests {
         }
     }
 
-    /// What a base station sends in a run.
+    /// The frames and the input log of a run.
     struct SentRun<'a> {
         scenario: &'a Scenario,
         frames: &'a [Frame],

@@ -250,7 +250,7 @@ impl<'a> Printer<'a> {
         }
     }
 
-    /// What a plan means for the only requested device, since the text of a plan names only some devices.
+    /// Returns the δ of the only requested device if `line` is a plan, whose text names only some devices.
     fn state_in_plan(&self, line: &FrameLine<'_>) -> String {
         match (self.args.device, &line.message) {
             (Some(device), Ok(Message::Plan(update))) => {

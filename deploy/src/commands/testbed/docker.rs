@@ -253,7 +253,7 @@ impl Docker {
         }
     }
 
-    /// The name of the project whose containers were started from `folder`, if there are any.
+    /// The name of the project whose containers were started from `folder`; `None` without containers.
     pub(super) fn project_started_from(&self, folder: &Path) -> anyhow::Result<Option<String>> {
         let Ok(own) = folder.canonicalize() else {
             return Ok(None);

@@ -148,7 +148,7 @@ fn find_project(folder: &Path) -> anyhow::Result<(Docker, Project)> {
 /// Returns the engine and the project whose containers were started from `folder`, without reading its description.
 ///
 /// # Errors
-/// `error`, if there are none.
+/// `error`, if `folder` has started no containers.
 fn find_started(folder: &Path, error: anyhow::Error) -> anyhow::Result<(Docker, Project)> {
     let docker = Docker::find()?;
     let Some(name) = docker.project_started_from(folder)? else {

@@ -91,7 +91,7 @@ function receive(now) {
   page.updates += 1;
   byId("scrubber").min = now.first;
   byId("scrubber").max = Math.max(now.next - 1, now.first);
-  showProblem(now.broken ?? (now.reachable ? "" : "The base station has left the bus. This page goes on when it returns."));
+  showProblem(now.broken ?? (now.reachable ? "" : "The base station has left the bus. The page continues when it returns."));
   if (page.follows && now.next > now.first) {
     page.tti = now.next - 1;
     page.moment = now;

@@ -61,6 +61,8 @@ pub(super) struct SequentialSelector {
     key_bounds: Vec<u64>,
     /// Devices that can cover a cell of the current block and can still be chosen, in the order of ids.
     block_devices: Vec<u32>,
+    /// Blocks that may have uncovered cells, in their order.
+    uncovered_blocks: Vec<usize>,
     vector_width: VectorWidth,
 }
 
@@ -80,6 +82,7 @@ impl SequentialSelector {
             battery_buckets: vec![0; device_count],
             key_bounds: vec![0; device_count],
             block_devices: Vec::with_capacity(device_count),
+            uncovered_blocks: Vec::new(),
             vector_width: VectorWidth::fastest(),
             coverage,
         }
@@ -128,6 +131,8 @@ impl SequentialSelector {
     #[inline(always)]
     fn choose_all(&mut self, is_free: impl Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = Vec::new();
+        self.uncovered_blocks.clear();
+        self.uncovered_blocks.extend(0..self.coverage.block_count());
         for min_bucket in PASS_MIN_BUCKETS {
             for j in 0..self.key_bounds.len() {
                 let may_choose = is_free(j) && self.battery_buckets[j] >= min_bucket && !self.coverage.contains(j);
@@ -138,13 +143,19 @@ impl SequentialSelector {
         chosen
     }
 
-    /// Adds devices to `chosen` until no candidate is left for any uncovered cell. Requires current `key_bounds`.
+    /// Adds devices to `chosen` until no candidate is left for any uncovered cell. Requires current `key_bounds`,
+    /// and removes covered blocks from `uncovered_blocks`.
     #[inline(always)]
     fn cover_cells(&mut self, chosen: &mut Vec<DeviceId>) {
-        for block in 0..self.coverage.block_count() {
+        // A loop, since a closure would not be inlined.
+        let mut kept_count = 0;
+        for index in 0..self.uncovered_blocks.len() {
+            let block = self.uncovered_blocks[index];
             if !self.coverage.has_uncovered(block) {
                 continue;
             }
+            self.uncovered_blocks[kept_count] = block;
+            kept_count += 1;
             self.block_devices.clear();
             let may_be_chosen = |j: &&u32| self.key_bounds[**j as usize] > 0;
             self.block_devices
@@ -163,6 +174,7 @@ impl SequentialSelector {
                 }
             }
         }
+        self.uncovered_blocks.truncate(kept_count);
     }
 
     /// Returns the device with the largest key that reaches `cell`, if any has an advantage.
