@@ -302,8 +302,10 @@ fn a_dashboard_waits_for_a_killed_base_station_and_shows_its_resumed_run() {
     killed_up.signal(Signal::KILL);
     for (page, dashboard) in [(&page, &dashboard), (&second_page, &second_dashboard)] {
         dashboard.wait_for_stderr("has left the bus; waiting for its return");
-        let now = page.get("/api/now");
-        assert_eq!((&now["reachable"], &now["over"]), (&false.into(), &false.into()));
+        let now = wait_until("the loss", PATIENCE, || {
+            Some(page.get("/api/now")).filter(|now| now["reachable"] == false)
+        });
+        assert_eq!(now["over"], false);
         let next = now["next"].as_u64().expect("a TTI");
         assert!(next >= tti_before, "{next}");
         let (status, body) = page.request("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
@@ -323,7 +325,9 @@ fn a_dashboard_waits_for_a_killed_base_station_and_shows_its_resumed_run() {
     assert_eq!((&now["reachable"], &now["broken"]), (&true.into(), &Value::Null));
     resumed_up.signal(Signal::INT);
     dashboard.wait_for_stderr("; its messages are shown until");
-    assert_eq!(page.get("/api/now")["over"], true);
+    wait_until("the end", PATIENCE, || {
+        (page.get("/api/now")["over"] == true).then_some(())
+    });
 }
 
 #[test]

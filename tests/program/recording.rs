@@ -345,6 +345,7 @@ fn an_observer_records_the_whole_run_of_a_base_station_that_was_frozen() {
     assert!(record.is_success(), "{record}");
     let digest = folder.run("run -n 20 -k 2000 --quiet --record p.mcap --out p").stdout;
     let digest = digest.trim().trim_start_matches("digest ").to_owned();
+    assert_eq!(digest.len(), 64, "{digest}");
     let finished = folder.run("inspect verify r.mcap");
     assert!(finished.stdout.contains(&digest), "{finished}");
     assert!(shown_messages(&folder, "r.mcap --plane air") == shown_messages(&folder, "p.mcap --plane air"));

@@ -163,8 +163,8 @@ pub(crate) struct ActionArgs {
 }
 
 impl ActionArgs {
-    /// Adds the scripted actions to the `recorded_inputs`, if any, for the run of `scenario`. Logs a warning for
-    /// actions in the warm-up.
+    /// Adds the scripted actions to the `recorded_inputs`, if any, for the run of `scenario`. Logs warnings
+    /// about actions in the warm-up and revivals without effect.
     ///
     /// # Errors
     /// If the script cannot be read, or a line is not an action of the run.

@@ -32,6 +32,8 @@ use crate::external_inputs;
 const MAX_SCRIPT_BYTES: u64 = 4 << 20;
 /// The largest number of actions of a script.
 const MAX_ACTIONS: usize = 10_000_000;
+/// The largest product of actions and devices for which revivals are checked.
+const MAX_REVIVAL_CHECKS: usize = 100_000_000;
 
 /// The forms of a line, for errors.
 const FORMS: &str = "use `TTI ACTION` or `from TTI [to TTI] every TTIS ACTION [at random]`, where ACTION is `fail \
@@ -132,13 +134,15 @@ pub fn warnings(actions: &[OperatorAction], scenario: &Scenario) -> Vec<String> 
 
 /// Returns a warning if a revival comes while none of its devices is failed, such as before their failure.
 fn useless_revival_warning(actions: &[OperatorAction], device_count: usize) -> Option<String> {
+    // Long scripts of large runs are not checked, since each action can concern all devices.
+    if actions.len().saturating_mul(device_count) > MAX_REVIVAL_CHECKS {
+        return None;
+    }
     let mut is_failed = vec![false; device_count];
     let mut useless_ttis = actions.iter().filter_map(|action| {
         let range = action.change.with_all_resolved(device_count as u32).devices()?;
         let devices = is_failed
-            .iter_mut()
-            .skip(range.first.0 as usize)
-            .take(range.count as usize);
+                let failed_count: usize = devices.map(|is_failed| usize::from(std::mem::take(is_failed))).sum();
         match action.change {
             Change::Fail(_) => devices.for_each(|is_failed| *is_failed = true),
             Change::Revive(_) => {

@@ -87,9 +87,11 @@ impl CellBlocks {
         let mut order: Vec<(u64, usize)> = (0..devices_by_block.len()).map(area_and_block).collect();
         order.sort_unstable();
         let (mut blocks, mut cells, mut devices) = (Vec::new(), Vec::new(), Vec::new());
-        // Devices cannot cover the others.
-        let coverable = order.into_iter().filter(|(_, i)| !devices_by_block[*i].is_empty());
-        for (_, i) in coverable.collect::<Vec<_>>() {
+        for (_, i) in order {
+            // Blocks that no device covers are left out.
+            if devices_by_block[i].is_empty() {
+                continue;
+            }
             let corner = (
                 (i / blocks_per_row * BLOCK_SIDE) as u32,
                 (i % blocks_per_row * BLOCK_SIDE) as u32,

@@ -48,8 +48,10 @@ const UNITS_PER_PARTIAL_CELL: u32 = 64;
 /// Quanta per unit if detection is probabilistic. A cell has 64 · `QUANTA_PER_UNIT` − 1 quanta, the maximum of a `u16`.
 const QUANTA_PER_UNIT: u64 = (QUANTA_PER_CELL as u64 + 1) / UNITS_PER_PARTIAL_CELL as u64;
 
-/// Approximate cost of a removal in additions.
+/// Approximate cost of a removal among few devices, in additions.
 const ADDITIONS_PER_REMOVAL: usize = 3;
+/// Approximate number of devices that a removal can rule out in the time of an addition.
+const CHECKS_PER_ADDITION: usize = 32;
 
 /// The part of the area covered by the devices added so far.
 ///
@@ -64,7 +66,7 @@ pub(crate) struct Coverage {
     is_added: Vec<bool>,
     /// List of the added devices.
     added_devices: Vec<u32>,
-    /// Memory of [`Self::replace`].
+    /// Scratch space of [`Self::replace`]: by device, whether it is wanted.
     is_wanted: Vec<bool>,
 }
 
@@ -196,9 +198,11 @@ impl Coverage {
         }
         let mut unwanted = self.added_devices.clone();
         unwanted.retain(|device| !is_wanted[*device as usize]);
-        // A removal costs as much as some additions. Shares are rounded, so there the order of additions counts.
+        // A removal costs as much as some additions, and looks at all added devices. Shares are rounded, so there the
+        // order of additions counts.
         let has_order = matches!(self.model, CoverageModel::Probabilistic(_));
-        if has_order || ADDITIONS_PER_REMOVAL * unwanted.len() > wanted_count {
+        let additions_per_removal = ADDITIONS_PER_REMOVAL + self.added_devices.len() / CHECKS_PER_ADDITION;
+        if has_order || additions_per_removal * unwanted.len() > wanted_count {
             self.clear();
         } else {
             for device in unwanted {

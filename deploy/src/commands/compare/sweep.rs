@@ -72,9 +72,10 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         } else {
             "no two policies have"
         };
+        let other = if reference == "random" { "knn" } else { "random" };
         bail!(
             "{}: nothing to compare: {pairs} runs with the same N and seeds; give one sweep several policies, such as \
-             `reveille sweep --policies {reference},random`, or repeat it with the same N, seeds and --ttis",
+             `reveille sweep --policies {reference},{other}`, or repeat it with the same N, seeds and --ttis",
             results.tables[0].name
         );
     }

@@ -3,6 +3,7 @@
 //! only after the tap is declared, so that no later frame is missed, and after the handlers of signals are installed.
 
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::anyhow;
@@ -31,6 +32,8 @@ pub(crate) const OBSERVERS: [Role; 2] = [Role::Observer, Role::Operator];
 const MAX_QUEUED_BATCHES: usize = 4_096;
 /// Longest wait for each of the last frames of an ended run.
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(300);
+/// Pause between two queries of a base station that has just returned.
+const QUERY_PAUSE: Duration = Duration::from_millis(200);
 /// Longest wait for a base station that has left the bus before the end of its run, unless the caller sets another.
 const RETURN_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -48,16 +51,16 @@ pub(crate) struct Live {
     pub run_name: String,
     /// Number of devices N.
     pub devices: u32,
-    /// The clock's status at the connection.
+    /// The clock's status when the base station was last reached.
     status: ClockStatus,
-    /// The frames from the tap.
-    batches: Receiver<FrameBatch>,
+    /// The batches from the tap, each with the losses of the base station before it.
+    batches: Receiver<(u64, FrameBatch)>,
     bs_presence: watch::Receiver<BsPresence>,
     /// The losses of the base station that were followed by its return.
     survived_losses: u64,
-    /// The last message of the virtual clock. It shows whether the run has come to its end.
-    last_clock_frame: Option<Frame>,
-    /// Whether the base station has left the bus for good. The last frames can follow.
+    /// Whether a message of the virtual clock has ended the run.
+    is_run_over: bool,
+    /// Whether the base station has left the bus. The last frames can follow.
     has_ended: bool,
     /// Longest wait for a base station that has left the bus before the end of its run.
     return_timeout: Duration,
@@ -95,6 +98,8 @@ impl Live {
         };
         let (batch_sender, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
         let (presence_sender, bs_presence) = watch::channel(BsPresence::default());
+        let presence_sender = Arc::new(presence_sender);
+        let presence_reader = Arc::clone(&presence_sender);
         let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, is_present| {
             presence_sender.send_modify(|presence| {
                 presence.is_present = is_present;
@@ -103,7 +108,8 @@ impl Live {
         })?;
         let tap = bus.observe(move |batch| {
             // The callback must not block zenoh's thread; a batch without room shows as a gap in the frame numbers.
-            let _no_room = batch_sender.try_send(batch).is_err();
+            let losses = presence_reader.borrow().losses;
+            let _no_room = batch_sender.try_send((losses, batch)).is_err();
         })?;
         Ok(Self {
             run_name: bus.key_exprs().run().to_string(),
@@ -113,7 +119,7 @@ impl Live {
             batches,
             bs_presence,
             survived_losses: 0,
-            last_clock_frame: None,
+            is_run_over: false,
             has_ended: false,
             return_timeout: RETURN_TIMEOUT,
             on_reachability: Box::new(|_| {}),
@@ -187,8 +193,8 @@ impl Live {
     /// Receives the next frames and the number of frames dropped before them. Returns `None` once the base station has
     /// left the bus or a signal came.
     pub(crate) async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
+        let survived_losses = self.survived_losses;
         if !self.has_ended {
-            let survived_losses = self.survived_losses;
             let batch = tokio::select! {
                 // In this order: a signal ends the wait, and batches that have arrived come before the end of the run.
                 biased;
@@ -196,19 +202,37 @@ impl Live {
                 batch = self.batches.recv() => Some(batch?),
                 _ = self.bs_presence.wait_for(|presence| presence.losses > survived_losses) => None,
             };
-            if let Some(batch) = batch {
-                return Some(self.count_gap(batch));
+            match batch {
+                Some((losses, batch)) if losses == survived_losses => return Some(self.count_gap(batch)),
+                // A batch of the next connection does not follow the last one.
+                Some((_, batch)) => self.note_end(&batch),
+                None => {}
             }
             self.has_ended = true;
         }
-        if self.bs_presence.borrow().is_present {
-            // It is back: batches of its new connection do not follow the last ones.
-            return None;
-        }
         // The end of the run becomes visible before its last batches arrive.
         let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
-        let last_batch = self.signals.unless_interrupted(last_batch).await?.ok().flatten();
-        last_batch.map(|batch| self.count_gap(batch))
+        let (_, batch) = self.signals.unless_interrupted(last_batch).await?.ok().flatten()?;
+        if self.bs_presence.borrow().is_present {
+            // It may be a batch of the next connection; the catch-up repeats its frames.
+            self.note_end(&batch);
+            return None;
+        }
+        Some(self.count_gap(batch))
+    }
+
+    /// Records whether a message of the virtual clock in `batch` ends the run.
+    fn note_end(&mut self, batch: &FrameBatch) {
+        let is_last = |frame: &Frame| {
+            frame.kind == MessageKind::Clock
+                && matches!(
+                    frame.message(),
+                    Ok(Message::Clock(
+                        ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_)
+                    ))
+                )
+        };
+        self.is_run_over |= batch.frames.iter().any(is_last);
     }
 
     /// After [`Self::next`] has returned `None`: waits for the return of a base station that left the bus before the
@@ -218,17 +242,8 @@ impl Live {
     /// # Errors
     /// If the bus fails, or the base station that returns has another run.
     async fn wait_for_return(&mut self) -> anyhow::Result<bool> {
-        let is_last = |frame: &Frame| {
-            let message = frame.message();
-            let Ok(Message::Clock(clock)) = message else {
-                return false;
-            };
-            matches!(
-                clock,
-                ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_)
-            )
-        };
-        if self.signals.has_arrived() || self.last_clock_frame.as_ref().is_some_and(is_last) {
+        // After dropped messages, the number of those passed on is not the position in the run.
+        if self.signals.has_arrived() || self.is_run_over || self.dropped_frames > 0 {
             return Ok(false);
         }
         let limit = if self.return_timeout == Duration::MAX {
@@ -236,37 +251,57 @@ impl Live {
         } else {
             format!(" up to {} s", self.return_timeout.as_secs())
         };
+        (self.on_reachability)(false);
         note!(
             "the base station of run {} has left the bus; waiting{limit} for its return",
             self.run_name
         );
-        (self.on_reachability)(false);
         let signals = self.signals.clone();
         let returned = tokio::time::timeout(self.return_timeout, self.query_returned_bs());
         let Some(Ok(returned)) = signals.unless_interrupted(returned).await else {
             return Ok(false);
         };
-        let status = returned?;
+        let Some(status) = returned? else {
+            return Ok(false);
+        };
         anyhow::ensure!(
             (status.ttis, status.devices) == (self.status.ttis, self.devices),
             "another run called {} answers now; start again to observe it",
             self.run_name
         );
-        note!("the base station is back: {status}");
         (self.on_reachability)(true);
+        note!("the base station is back: {status}");
         (self.status, self.has_ended, self.next_frame_number) = (status, false, None);
         Ok(true)
     }
 
-    /// Waits until the base station is on the bus again and answers, and returns its status. Batches that came before
-    /// the answer are dropped.
-    async fn query_returned_bs(&mut self) -> anyhow::Result<ClockStatus> {
+    /// Waits until the base station is on the bus again and answers, and returns its status; `None` if a late message
+    /// ends the run. Batches that came before the query are dropped.
+    async fn query_returned_bs(&mut self) -> anyhow::Result<Option<ClockStatus>> {
         loop {
-            self.survived_losses = self.bs_presence.wait_for(|presence| presence.is_present).await?.losses;
-            while self.batches.try_recv().is_ok() {}
-            if let Some(status) = self.bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await? {
+            let received = tokio::select! {
+                biased;
+                batch = self.batches.recv() => Err(batch),
+                presence = self.bs_presence.wait_for(|presence| presence.is_present) => Ok(presence?.losses),
+            };
+            let losses = match received {
+                Ok(losses) => losses,
+                Err(None) => return Ok(None),
+                Err(Some((_, batch))) => {
+                    self.note_end(&batch);
+                    if self.is_run_over {
+                        return Ok(None);
+                    }
+                    continue;
+                }
+            };
+            self.survived_losses = losses;
+            let status = self.bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await?;
+            if status.is_some() {
                 return Ok(status);
             }
+            // Without a route to the base station, a query ends at once.
+            tokio::time::sleep(QUERY_PAUSE).await;
         }
     }
 
@@ -396,8 +431,7 @@ impl Live {
             .saturating_sub(self.next_frame_number.unwrap_or(batch.first));
         self.dropped_frames += missing;
         self.next_frame_number = Some(batch.first.saturating_add(batch.frames.len() as u64));
-        let mut clock_frames = batch.frames.iter().filter(|frame| frame.kind == MessageKind::Clock);
-        self.last_clock_frame = clock_frames.next_back().cloned().or(self.last_clock_frame.take());
+        self.note_end(&batch);
         (batch.frames, missing)
     }
 

@@ -7,10 +7,12 @@ use reveille_common::message::{Frame, Message, MessageKind, Plane, WorldUpdate};
 /// Counts the frames that were passed on.
 #[derive(Default)]
 pub(super) struct PassedFrames {
-    /// Frames passed on so far that a replay repeats, without [`MessageKind::World`].
+    /// Number of frames passed on that a replay repeats. World frames and states do not count.
     passed: u64,
-    /// Frames of that kind since the last restart.
+    /// Number of such frames received since the last restart.
     seen: u64,
+    /// The TTI before which all states were passed on.
+    states_end: Tti,
     /// The TTI before which all world frames were passed on.
     world_end: Tti,
 }
@@ -26,9 +28,14 @@ impl PassedFrames {
         if frame.kind == MessageKind::World {
             return self.filter_new_ttis(frame);
         }
-        // A replay has no frames of these kinds.
-        if frame.kind.plane() == Plane::Emu || frame.kind == MessageKind::States {
+        // A replay has no frames of the emulation plane and no states, but a resumed base station sends states again.
+        if frame.kind.plane() == Plane::Emu {
             return Some(frame);
+        }
+        if frame.kind == MessageKind::States {
+            let is_new = self.seen >= self.passed && frame.tti >= self.states_end;
+            self.states_end = self.states_end.max(frame.tti + 1);
+            return is_new.then_some(frame);
         }
         self.seen += 1;
         if self.seen <= self.passed {

@@ -246,16 +246,16 @@ impl<'a> Printer<'a> {
         if self.args.json {
             line.to_json()
         } else {
-            self.coloured(kind, format!("{line}{}", self.state_in_plan(line)))
+            self.coloured(kind, format!("{line}{}", self.delta_in_plan(line)))
         }
     }
 
-    /// Returns the δ of the only requested device if `line` is a plan, whose text names only some devices.
-    fn state_in_plan(&self, line: &FrameLine<'_>) -> String {
+    /// Returns the first δ of the only requested device if `line` is a plan, whose text names only some devices.
+    fn delta_in_plan(&self, line: &FrameLine<'_>) -> String {
         match (self.args.device, &line.message) {
             (Some(device), Ok(Message::Plan(update))) => {
                 let delta = u8::from(update.plan.is_on(DeviceId(device), update.from));
-                format!("; δ = {delta} for device {device}")
+                format!("; δ = {delta} for device {device} in TTI {}", update.from)
             }
             _ => String::new(),
         }

@@ -253,13 +253,14 @@ impl Docker {
         }
     }
 
-    /// The name of the project whose containers were started from `folder`; `None` without containers.
+    /// The name of the project with a base station whose containers were started from `folder`; `None` without one.
     pub(super) fn project_started_from(&self, folder: &Path) -> anyhow::Result<Option<String>> {
         let Ok(own) = folder.canonicalize() else {
             return Ok(None);
         };
         let form = "{{.Label \"com.docker.compose.project\"}}\t{{.Label \"com.docker.compose.project.working_dir\"}}";
-        let list = self.run(&["ps", "--all", "--format", form])?;
+        let filter = format!("label=com.docker.compose.service={BS_SERVICE}");
+        let list = self.run(&["ps", "--all", "--filter", &filter, "--format", form])?;
         let mut projects = list.lines().filter_map(|line| line.split_once('\t'));
         let found = projects.find(|(_, folder)| Path::new(folder).canonicalize().is_ok_and(|folder| folder == own));
         Ok(found.map(|(name, _)| name.to_owned()))

@@ -42,7 +42,10 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
         TestbedCommand::Init(args) => init(args)?,
         TestbedCommand::Up(args) => return up::run(args),
         TestbedCommand::Down(folder) => {
-            let (docker, project) = find_project(&folder.path).or_else(|error| find_started(&folder.path, error))?;
+            let (docker, project) = match TestbedConfig::read(&folder.path) {
+                Ok(_) => find_project(&folder.path)?,
+                Err(error) => find_started(&folder.path, error)?,
+            };
             docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
             note!(
                 "removed the containers, the network and the volumes of {}",
@@ -145,11 +148,16 @@ fn find_project(folder: &Path) -> anyhow::Result<(Docker, Project)> {
     Ok((docker, project))
 }
 
-/// Returns the engine and the project whose containers were started from `folder`, without reading its description.
+/// Returns the engine and the project whose containers were started from the testbed in `folder`, whose description
+/// cannot be read because of `error`.
 ///
 /// # Errors
-/// `error`, if `folder` has started no containers.
+/// `error`, if `folder` has no description or has started no containers.
 fn find_started(folder: &Path, error: anyhow::Error) -> anyhow::Result<(Docker, Project)> {
+    // The containers of other compose projects must not be removed.
+    if !folder.join(CONFIG_FILE).exists() {
+        return Err(error);
+    }
     let docker = Docker::find()?;
     let Some(name) = docker.project_started_from(folder)? else {
         return Err(error);

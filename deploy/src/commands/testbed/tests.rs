@@ -410,7 +410,10 @@ fn a_description_must_fit_the_scenario() {
             ..class
         });
     });
-    assert_eq!(unknown, "class medium: the scenario has no such class");
+    assert_eq!(
+        unknown,
+        "class medium: the scenario has no such class; its classes are weak, strong"
+    );
     let fault = check(&|config| config.faults = vec!["5 kill weak-5".to_owned()]);
     assert!(
         fault.starts_with("faults.txt, line 4: weak-5: no such container; use one of bs, weak-1,"),

@@ -147,7 +147,7 @@ impl SequentialSelector {
     /// and removes covered blocks from `uncovered_blocks`.
     #[inline(always)]
     fn cover_cells(&mut self, chosen: &mut Vec<DeviceId>) {
-        // A loop, since a closure would not be inlined.
+        // Not `retain`, whose closure would not be inlined.
         let mut kept_count = 0;
         for index in 0..self.uncovered_blocks.len() {
             let block = self.uncovered_blocks[index];
