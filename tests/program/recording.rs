@@ -325,6 +325,27 @@ fn observers_that_join_early_and_late_record_the_same_run() {
 }
 
 #[test]
+fn tail_names_the_duty_cycle_of_its_device_in_each_plan() {
+    let folder = TestFolder::new();
+    let finished = folder.run("run -p random -n 30 -k 400 --record r.mcap --quiet --out o");
+    assert!(finished.is_success(), "{finished}");
+    let plans = shown_messages(&folder, "r.mcap --kind plan --device 10");
+    let text = folder.run("inspect tail r.mcap --kind plan --device 10").stdout;
+    assert!(!plans.is_empty() && text.lines().count() == plans.len(), "{text}");
+    for (plan, line) in plans.iter().zip(text.lines()) {
+        let cycle = &plan["message"]["plan"]["Periodic"][10];
+        let field = |name: &str| cycle[name].as_u64().expect("a number");
+        let (on, ttis, offset) = (field("t_on"), field("t_drx"), field("offset"));
+        let from = plan["message"]["from"].as_u64().expect("a TTI");
+        let next = (from..from + ttis)
+            .find(|k| (k + offset) % ttis < on)
+            .expect("a TTI in S1");
+        let end = format!("; device 10 senses in {on} of every {ttis} TTIs, next in TTI {next}");
+        assert!(line.ends_with(&end), "{line}: {end}");
+    }
+}
+
+#[test]
 fn an_observer_records_the_whole_run_of_a_base_station_that_was_frozen() {
     let (folder, run) = (TestFolder::new(), unique_run("frozen"));
     let up = folder.start(&format!(

@@ -142,13 +142,13 @@ fn useless_revival_warning(actions: &[OperatorAction], device_count: usize) -> O
     let mut useless_ttis = actions.iter().filter_map(|action| {
         let range = action.change.with_all_resolved(device_count as u32).devices()?;
         let devices = is_failed
-                let failed_count: usize = devices.map(|is_failed| usize::from(std::mem::take(is_failed))).sum();
+            .iter_mut()
+            .skip(range.first.0 as usize)
+            .take(range.count as usize);
         match action.change {
             Change::Fail(_) => devices.for_each(|is_failed| *is_failed = true),
             Change::Revive(_) => {
-                let failed_count = devices
-                    .filter_map(|is_failed| std::mem::take(is_failed).then_some(()))
-                    .count();
+                let failed_count: usize = devices.map(|is_failed| usize::from(std::mem::take(is_failed))).sum();
                 return (failed_count == 0).then_some(action.tti);
             }
             Change::AddEnergy(..) | Change::Set(..) => {}

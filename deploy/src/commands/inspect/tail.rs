@@ -246,18 +246,24 @@ impl<'a> Printer<'a> {
         if self.args.json {
             line.to_json()
         } else {
-            self.coloured(kind, format!("{line}{}", self.delta_in_plan(line)))
+            self.coloured(kind, format!("{line}{}", self.duty_in_plan(line)))
         }
     }
 
-    /// Returns the first δ of the only requested device if `line` is a plan, whose text names only some devices.
-    fn delta_in_plan(&self, line: &FrameLine<'_>) -> String {
-        match (self.args.device, &line.message) {
-            (Some(device), Ok(Message::Plan(update))) => {
-                let delta = u8::from(update.plan.is_on(DeviceId(device), update.from));
-                format!("; δ = {delta} for device {device} in TTI {}", update.from)
-            }
-            _ => String::new(),
+    /// Returns what the only requested device does if `line` is a plan, whose text names only some devices.
+    fn duty_in_plan(&self, line: &FrameLine<'_>) -> String {
+        let (Some(device), Ok(Message::Plan(update))) = (self.args.device, &line.message) else {
+            return String::new();
+        };
+        let cycle = update.plan.duty_cycle(DeviceId(device));
+        let (on, ttis) = (cycle.t_on, cycle.t_drx);
+        if on == 0 {
+            format!("; device {device} sleeps")
+        } else if on == ttis {
+            format!("; device {device} senses")
+        } else {
+            let next = cycle.next_on(update.from);
+            format!("; device {device} senses in {on} of every {ttis} TTIs, next in TTI {next}")
         }
     }
 

@@ -226,7 +226,8 @@ impl Docker {
                 id: cells.next()?,
                 service: cells.next()?,
                 status: cells.next()?,
-                is_connected: !cells.next()?.is_empty(),
+                // The output of `run` has lost the empty cell of the last line.
+                is_connected: cells.next().is_some_and(|networks| !networks.is_empty()),
             })
         };
         Ok(list.lines().filter_map(parse).collect())
