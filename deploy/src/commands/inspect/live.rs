@@ -300,7 +300,7 @@ impl Live {
             if status.is_some() {
                 return Ok(status);
             }
-            // Without a route to the base station, a query ends at once.
+            // A query without a route to the base station ends immediately.
             tokio::time::sleep(QUERY_PAUSE).await;
         }
     }

@@ -250,7 +250,7 @@ impl<'a> Printer<'a> {
         }
     }
 
-    /// Returns what the only requested device does if `line` is a plan, whose text names only some devices.
+    /// Returns the duty cycle of the only requested device if `line` is a plan, whose text names only some devices.
     fn duty_in_plan(&self, line: &FrameLine<'_>) -> String {
         let (Some(device), Ok(Message::Plan(update))) = (self.args.device, &line.message) else {
             return String::new();
