@@ -151,8 +151,7 @@ impl CoverageBits {
         *covered_count += count_outside(covered, disc);
         for (begin, to_east, to_west) in disc.tiles(*stride) {
             let shift = disc.shift;
-            let covered = covered[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
-            let covered_twice = covered_twice[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            let (covered, covered_twice) = (rows_from(covered, begin), rows_from(covered_twice, begin));
             for i in 0..DISC_SIDE {
                 let cells = u64::from(disc.rows[i]) << shift << to_east >> to_west;
                 covered_twice[i] |= covered[i] & cells;
@@ -184,8 +183,7 @@ impl CoverageBits {
         *covered_count -= (0..DISC_SIDE).map(lost_cells).sum::<u32>();
         for (begin, to_east, to_west) in disc.tiles(*stride) {
             let shift = disc.shift;
-            let covered = covered[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
-            let covered_twice = covered_twice[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            let (covered, covered_twice) = (rows_from(covered, begin), rows_from(covered_twice, begin));
             for i in 0..DISC_SIDE {
                 let in_tile = |cells: u32| u64::from(cells) << shift << to_east >> to_west;
                 let cells = in_tile(disc.rows[i]);
@@ -235,6 +233,12 @@ impl CoverageBits {
 }
 
 const ROWS_FIT: &str = "there are empty rows above";
+
+/// Returns the rows of a disc in `words`, of which `begin` is the first.
+#[inline(always)]
+fn rows_from(words: &mut [u64], begin: usize) -> &mut [u64; DISC_SIDE] {
+    words[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT)
+}
 
 /// Returns the number of cells of `disc` that are not in `words`.
 #[inline(always)]

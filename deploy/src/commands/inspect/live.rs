@@ -352,12 +352,15 @@ impl Live {
             }
             on_frame(frame)
         };
-        let (mut wants_more, mut has_warned, mut is_running) = (true, false, true);
-        // The replay can take long; `block_in_place` keeps other tasks going, such as the dashboard's.
-        tokio::task::block_in_place(|| {
-            catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
-        })?;
+        let (mut wants_more, mut has_warned, mut is_running, mut must_replay) = (true, false, true, true);
         while wants_more {
+            if std::mem::take(&mut must_replay) {
+                // The replay can take long; `block_in_place` keeps other tasks going, such as the dashboard's.
+                tokio::task::block_in_place(|| {
+                    catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
+                })?;
+                continue;
+            }
             let Some((frames, _)) = self.next().await else {
                 if !self.wait_for_return().await? {
                     break;
@@ -367,11 +370,7 @@ impl Live {
                     Err(error) if error.is::<Interrupted>() => break,
                     still_running => is_running = still_running?,
                 }
-                if is_running {
-                    tokio::task::block_in_place(|| {
-                        catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
-                    })?;
-                }
+                must_replay = is_running;
                 continue;
             };
             // The kinds before which `CatchUp::push` needs the log. No others: the tap also copies the query below,

@@ -2,10 +2,8 @@
 //! (`docker-compose`). Containers are found by the labels that both set. Errors tell how to repair the installation.
 
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Output, Stdio};
+use std::process::{Command, ExitCode, Output};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail, ensure};
@@ -14,6 +12,7 @@ use super::compose::{COMPOSE_FILE, NETWORK};
 use super::faults::Fault;
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
+use super::program::{execute, execute_in_background, exit_code_in_foreground, explain_failure, text_of};
 use crate::cli::FaultKind;
 use crate::display::shell_word;
 
@@ -226,8 +225,7 @@ impl Docker {
                 id: cells.next()?,
                 service: cells.next()?,
                 status: cells.next()?,
-                // The output of `run` has lost the empty cell of the last line.
-                is_connected: cells.next().is_some_and(|networks| !networks.is_empty()),
+                is_connected: !cells.next()?.is_empty(),
             })
         };
         Ok(list.lines().filter_map(parse).collect())
@@ -497,56 +495,6 @@ pub(super) fn clock_in_foreground(bs: &Container, args: &[String]) -> anyhow::Re
     exit_code_in_foreground(&mut command)
 }
 
-/// Runs a command with this program's terminal, and returns its exit code.
-fn exit_code_in_foreground(command: &mut Command) -> anyhow::Result<ExitCode> {
-    let status = command.status()?;
-    // A shell reports a signal in the same way.
-    let code = status.code().or_else(|| status.signal().map(|signal| 128 + signal));
-    Ok(ExitCode::from(
-        code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1),
-    ))
-}
-
-/// Runs a command without input, and returns its output.
-fn execute(command: &[&str]) -> anyhow::Result<Output> {
-    execute_in_background(Command::new(command[0]).args(&command[1..]))
-}
-
-/// Runs a command in a separate process group: Ctrl-C must end this program, not the command that it waits for.
-fn execute_in_background(command: &mut Command) -> anyhow::Result<Output> {
-    let program = command.get_program().to_string_lossy().into_owned();
-    command.stdin(Stdio::null()).process_group(0).output().map_err(|error| {
-        if error.kind() == ErrorKind::NotFound {
-            anyhow!(
-                "{program}: command not found; install Docker with compose, such as the Debian packages docker.io \
-                     and docker-compose"
-            )
-        } else {
-            anyhow!("{program}: cannot start it: {error}")
-        }
-    })
-}
-
-/// Returns an output as text, without the last line break.
-fn text_of(output: &[u8]) -> String {
-    String::from_utf8_lossy(output).trim_end().to_owned()
-}
-
-/// Returns the error for a failed command, with the fix if the cause is a usual one.
-fn explain_failure(command: &str, stderr: &str) -> anyhow::Error {
-    let lower = stderr.to_lowercase();
-    let fix = if lower.contains("permission denied") && lower.contains("docker") {
-        "; this user may not use Docker: add the user to the group `docker`, or use sudo"
-    } else if lower.contains("cannot connect to the docker daemon") || lower.contains("connection refused") {
-        "; no engine answers: start it, such as with `systemctl start docker`"
-    } else if lower.contains("is not connected to") {
-        "; the container is disconnected already: end that with `restore`"
-    } else {
-        ""
-    };
-    anyhow!("docker {command}: {stderr}{fix}")
-}
-
 /// Shortens a line of `clock status`: names the containers among `services` with lost hosts, not each host.
 pub(super) fn shorten_clock(line: &str, services: &[String]) -> String {
     let Some((state, hosts)) = line.split_once(": lost ") else {
@@ -561,24 +509,6 @@ pub(super) fn shorten_clock(line: &str, services: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn usual_causes_are_explained() {
-        for (stderr, fix) in [
-            (
-                "Got permission denied while trying to connect to the Docker daemon socket",
-                "add the user to the group `docker`",
-            ),
-            (
-                "Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is the docker daemon running?",
-                "systemctl start docker",
-            ),
-            ("no such file", "docker ps: no such file"),
-        ] {
-            let error = explain_failure("ps", stderr).to_string();
-            assert!(error.contains(fix) && error.contains(stderr), "{error}");
-        }
-    }
 
     #[test]
     fn a_status_has_the_exit_code_of_an_ended_process() {
@@ -597,14 +527,5 @@ mod tests {
             };
             assert_eq!(container.exit_code(), exit_code, "{status}");
         }
-    }
-
-    #[test]
-    fn a_missing_program_is_named_with_the_packages() {
-        let error = execute(&["no-such-program"]).expect_err("no program").to_string();
-        assert!(
-            error.starts_with("no-such-program: command not found; install Docker"),
-            "{error}"
-        );
     }
 }

@@ -9,6 +9,7 @@ mod docker;
 mod faults;
 mod model;
 mod placement;
+mod program;
 mod results;
 #[cfg(test)]
 mod tests;
