@@ -408,8 +408,8 @@ fn field_in_words(field: &str) -> Option<(String, &'static str)> {
     (!words.is_empty() && is_legible(Weight::Regular) && is_legible(Weight::Bold)).then_some((words, declared.unit))
 }
 
-/// Returns the label of the x axis: the field in words, its unit and its identifier. Parts that do not fit below the
-/// axis are left out; the title always has all three.
+/// Returns the label of the x axis: name, unit and identifier of the field, shortened to fit below the axis. The title
+/// has all three.
 fn x_label(field: &str) -> String {
     /// Room below the axis, points.
     const ROOM: f64 = 0.85 * COLUMN_WIDTH;
