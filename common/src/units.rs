@@ -11,7 +11,7 @@ use std::ops::{Add, AddAssign, Sub, SubAssign};
 
 use serde::{Deserialize, Serialize};
 
-use crate::digits::count_noun;
+use crate::digits::{count_noun, format_significant};
 
 /// Number of micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
@@ -20,6 +20,15 @@ pub const MICRO_PER_UNIT: u64 = 1_000_000;
 /// which files, figures and clients use, and a device's levels over a span of 2¹³ TTIs (`MAX_SPAN_TTIS` in
 /// `device/src/machine/mod.rs`) add up within 64 bits. Sums over a run are checked when a scenario is loaded.
 pub const MAX_UNITS: f64 = 1e9;
+
+/// Describes the rounding of `units` of energy to `rounded` units if it changes them by more than 1 %.
+pub(crate) fn describe_rounding(units: f64, rounded: f64) -> Option<String> {
+    ((units - rounded).abs() > 0.01 * units.abs()).then(|| {
+        let step = format_significant(1.0 / MICRO_PER_UNIT as f64, 1);
+        let rounded = format_significant(rounded, 3);
+        format!("is rounded to {rounded}, in steps of {step}; write all energies in a smaller unit")
+    })
+}
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -152,6 +161,19 @@ mod tests {
     #[test]
     fn one_fourteenth_rounds_to_the_nearest_micro_unit() {
         assert_eq!(Energy::from_units(1.0 / 14.0), Some(Energy::from_micro(71_429)));
+    }
+
+    #[test]
+    fn a_rounding_by_more_than_a_hundredth_is_described() {
+        let describe = |units| describe_rounding(units, Energy::from_units(units).expect("in range").units());
+        for units in [4e-7, 1.5e-6, 1.02e-5] {
+            assert!(describe(units).is_some(), "{units}");
+        }
+        for units in [0.0, 1e-6, 1.005e-4, 1.0 / 14.0, MAX_UNITS] {
+            assert_eq!(describe(units), None, "{units}");
+        }
+        let text = describe(4e-7).expect("rounded to nothing");
+        assert!(text.starts_with("is rounded to 0, in steps of 0.000001;"), "{text}");
     }
 
     #[test]

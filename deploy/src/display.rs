@@ -142,6 +142,11 @@ pub(crate) fn new_bar(length: u64, template: &str, hidden: bool) -> ProgressBar 
     bar
 }
 
+/// The template of a bar with a message.
+pub(crate) const RUN_BAR: &str = "{bar:12} {wide_msg}";
+/// Columns before the message of a [`RUN_BAR`].
+pub(crate) const BAR_COLUMNS: usize = 13;
+
 /// A progress bar with a thread that updates it; removed when dropped.
 pub(crate) struct RunProgressBar {
     bar: ProgressBar,
@@ -152,7 +157,7 @@ pub(crate) struct RunProgressBar {
 impl RunProgressBar {
     /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is not a terminal.
     pub(crate) fn start(progress: &Arc<RunProgress>, scenario: &Scenario, hidden: bool) -> Self {
-        let bar = new_bar(scenario.run.ttis, "{bar:12} {wide_msg}", hidden);
+        let bar = new_bar(scenario.run.ttis, RUN_BAR, hidden);
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
         let (devices, ttis, warm_up_end) = (scenario.run.devices, scenario.run.ttis, scenario.warm_up_end().0);
@@ -162,7 +167,8 @@ impl RunProgressBar {
                 let tti = progress.next_tti.load(Ordering::Relaxed);
                 let ttis_per_s = speed.measure(crate::runtime::now(), tti);
                 thread_bar.set_position(tti);
-                thread_bar.set_message(run_message(&progress, (devices, ttis, warm_up_end), ttis_per_s));
+                let parts = run_message(&progress, (devices, ttis, warm_up_end), ttis_per_s);
+                thread_bar.set_message(join_fitting(&parts, BAR_COLUMNS));
                 // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
@@ -186,9 +192,14 @@ impl Drop for RunProgressBar {
     }
 }
 
-/// Measures the speed of a run over its last seconds: the next TTI of the run at several times, oldest first.
+/// Measures the speed of a run over its last seconds.
 #[derive(Debug, Default)]
-struct SpeedMeter(VecDeque<(Instant, u64)>);
+struct SpeedMeter {
+    /// The next TTI of the run at several times, oldest first.
+    samples: VecDeque<(Instant, u64)>,
+    /// Whether the run has advanced since the first sample; before, a speed of 0 says nothing.
+    has_advanced: bool,
+}
 
 impl SpeedMeter {
     /// Time over which the speed is measured.
@@ -196,60 +207,82 @@ impl SpeedMeter {
     /// Shortest time for a first value.
     const MIN_SPAN: Duration = Duration::from_millis(500);
 
-    /// Adds the next TTI of the run at `now`. Returns the TTIs per second; `None` until half a second is measured.
+    /// Adds the next TTI of the run at `now`. Returns the TTIs per second; `None` until half a second with a finished
+    /// TTI is measured.
     fn measure(&mut self, now: Instant, tti: u64) -> Option<f64> {
         // The time before the first TTI would lower the speed.
         if tti == 0 {
-            self.0.clear();
+            *self = Self::default();
             return None;
         }
-        self.0.push_back((now, tti));
+        self.samples.push_back((now, tti));
         while self
-            .0
+            .samples
             .get(1)
             .is_some_and(|(time, _)| now.duration_since(*time) >= Self::SPAN)
         {
-            self.0.pop_front();
+            self.samples.pop_front();
         }
-        let (first, first_tti) = *self.0.front()?;
+        let (first, first_tti) = *self.samples.front()?;
+        self.has_advanced |= tti > first_tti;
         let elapsed = now.duration_since(first);
-        (elapsed >= Self::MIN_SPAN).then(|| tti.saturating_sub(first_tti) as f64 / elapsed.as_secs_f64())
+        (self.has_advanced && elapsed >= Self::MIN_SPAN)
+            .then(|| tti.saturating_sub(first_tti) as f64 / elapsed.as_secs_f64())
     }
 }
 
-/// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number. A value
-/// is left out until it is measured. The message must fit next to the bar in 80 columns.
+/// Joins the `parts` that fit next to a bar in the terminal, of which `used` columns are taken. Parts are left out
+/// whole, since a cut number is a wrong one; the first part always stays.
+pub(crate) fn join_fitting(parts: &[String], used: usize) -> String {
+    join_within(parts, terminal::columns().saturating_sub(used))
+}
+
+/// As [`join_fitting`], within `width` columns.
+fn join_within(parts: &[String], width: usize) -> String {
+    const GAP: &str = "  ";
+    let (first, others) = parts
+        .split_first()
+        .map_or((String::new(), parts), |(first, others)| (first.clone(), others));
+    others.iter().fold(first, |line, part| {
+        let has_room = line.chars().count() + GAP.len() + part.chars().count() <= width;
+        if has_room { line + GAP + part } else { line }
+    })
+}
+
+/// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number: the parts
+/// of a line, the more important ones first. A value is left out until it is measured.
 fn run_message(
     progress: &RunProgress,
     (devices, ttis, warm_up_end): (u32, u64, u64),
     ttis_per_s: Option<f64>,
-) -> String {
+) -> Vec<String> {
     let load = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
     let (tti, joined) = (load(&progress.next_tti), load(&progress.joined_devices));
     let is_paused = progress.is_paused.load(Ordering::Relaxed);
     match (tti, is_paused, joined) {
-        (0, true, _) => return "paused before TTI 0; resume with `reveille clock resume`".to_owned(),
-        (0, false, 0) => return "starting".to_owned(),
-        (0, false, _) => return format!("joining: {joined} of {}", count_noun(devices, "device")),
+        (0, true, _) => return vec!["paused before TTI 0; resume with `reveille clock resume`".to_owned()],
+        (0, false, 0) => return vec!["starting".to_owned()],
+        (0, false, _) => return vec![format!("joining: {joined} of {}", count_noun(devices, "device"))],
         _ => {}
     }
     let mut parts = vec![format!("TTI {tti}/{ttis}")];
     if is_paused {
         parts.push("paused".to_owned());
     } else if let Some(ttis_per_s) = ttis_per_s {
-        parts.push(format!("{ttis_per_s:.0} TTIs/s"));
-        if ttis_per_s > 0.0 {
-            let remaining = ttis.saturating_sub(tti) as f64 / ttis_per_s;
-            let remaining = Duration::try_from_secs_f64(remaining).unwrap_or(Duration::MAX);
-            parts.push(format!("{:#} left", HumanDuration(remaining)));
-        }
+        parts.push(format!("{} TTIs/s", format_rate(ttis_per_s)));
+    }
+    if tti < warm_up_end {
+        parts.push(format!("warm-up until TTI {warm_up_end}"));
+    }
+    if let Some(ttis_per_s) = ttis_per_s.filter(|rate| !is_paused && *rate > 0.0) {
+        let remaining = ttis.saturating_sub(tti) as f64 / ttis_per_s;
+        let remaining = Duration::try_from_secs_f64(remaining).unwrap_or(Duration::MAX);
+        parts.push(format!("{:#} left", HumanDuration(remaining)));
+    }
+    if tti < warm_up_end {
+        return parts;
     }
     let (events, missed) = (load(&progress.events), load(&progress.misdetected));
-    if tti < warm_up_end {
-        // The battery would not fit next to it.
-        parts.push(format!("warm-up until TTI {warm_up_end}"));
-        return parts.join("  ");
-    }
     if events > 0 {
         parts.push(format!("missed {:.1} %", 100.0 * missed as f64 / events as f64));
     }
@@ -258,7 +291,16 @@ fn run_message(
     if battery > 0.0 {
         parts.push(format!("battery {}", format_significant(battery, 3)));
     }
-    parts.join("  ")
+    parts
+}
+
+/// Formats TTIs per second: whole numbers, or two significant digits of a slow run.
+fn format_rate(ttis_per_s: f64) -> String {
+    if ttis_per_s < 10.0 {
+        format_significant(ttis_per_s, 2)
+    } else {
+        format!("{ttis_per_s:.0}")
+    }
 }
 
 #[cfg(test)]
@@ -291,36 +333,61 @@ mod tests {
         assert_eq!(measure(1100, 7000), Some(2000.0));
         // Two thousand TTIs per second for a second, then none.
         assert_eq!(measure(4100, 7000), Some(0.0));
+        // A first TTI that takes long has no speed yet.
+        let mut slow = SpeedMeter::default();
+        let mut measure = |millis, tti| slow.measure(start + Duration::from_millis(millis), tti);
+        assert_eq!(
+            (measure(0, 1), measure(900, 1), measure(2000, 2)),
+            (None, None, Some(0.5))
+        );
     }
 
     #[test]
-    fn a_message_has_measured_values_only_and_fits() {
+    fn a_message_has_measured_values_only() {
         let progress = RunProgress::default();
         let run = (50, 10_000, 1000);
-        assert_eq!(run_message(&progress, run, None), "starting");
+        assert_eq!(run_message(&progress, run, None), ["starting"]);
         progress.joined_devices.store(12, Ordering::Relaxed);
-        assert_eq!(run_message(&progress, run, None), "joining: 12 of 50 devices");
+        assert_eq!(run_message(&progress, run, None), ["joining: 12 of 50 devices"]);
         progress.next_tti.store(500, Ordering::Relaxed);
         assert_eq!(
-            run_message(&progress, run, None),
-            "TTI 500/10000  warm-up until TTI 1000"
+            run_message(&progress, run, Some(450.0)),
+            ["TTI 500/10000", "450 TTIs/s", "warm-up until TTI 1000", "21s left"]
         );
         progress.next_tti.store(5500, Ordering::Relaxed);
-        assert_eq!(run_message(&progress, run, None), "TTI 5500/10000");
+        assert_eq!(run_message(&progress, run, None), ["TTI 5500/10000"]);
         progress.events.store(200, Ordering::Relaxed);
         progress.misdetected.store(3, Ordering::Relaxed);
         progress.mean_battery_micro.store(77_100_000, Ordering::Relaxed);
-        let message = run_message(&progress, run, Some(450.0));
         assert_eq!(
-            message,
-            "TTI 5500/10000  450 TTIs/s  10s left  missed 1.5 %  battery 77.1"
+            run_message(&progress, run, Some(0.5)),
+            [
+                "TTI 5500/10000",
+                "0.5 TTIs/s",
+                "3h left",
+                "missed 1.5 %",
+                "battery 77.1"
+            ]
         );
-        assert!("━".repeat(12).chars().count() + 1 + message.chars().count() <= 80);
         progress.is_paused.store(true, Ordering::Relaxed);
         assert_eq!(
             run_message(&progress, run, Some(450.0)),
-            "TTI 5500/10000  paused  missed 1.5 %  battery 77.1"
+            ["TTI 5500/10000", "paused", "missed 1.5 %", "battery 77.1"]
         );
+    }
+
+    #[test]
+    fn parts_of_a_line_are_left_out_whole() {
+        let parts = ["TTI 9/10", "warm-up until TTI 1000", "10s left"].map(str::to_owned);
+        for (width, line) in [
+            (42, "TTI 9/10  warm-up until TTI 1000  10s left"),
+            (41, "TTI 9/10  warm-up until TTI 1000"),
+            (31, "TTI 9/10  10s left"),
+            (5, "TTI 9/10"),
+        ] {
+            assert_eq!(join_within(&parts, width), line, "{width} columns");
+        }
+        assert_eq!(join_within(&[], 80), "");
     }
 
     #[test]

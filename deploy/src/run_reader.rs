@@ -53,7 +53,7 @@ impl RunReader {
                     "the folder holds no run: it has no scenario.toml, and its summary.json is not readable"
                 }
                 Ok(found) if found.is_dir() => "the folder holds no run",
-                Ok(_) => "not a folder",
+                Ok(_) => "not a folder (a recording lacks the tables of its run)",
             };
             bail!(
                 "{}: {cause}; name the folder of a run, such as runs/knn-n50-s1",

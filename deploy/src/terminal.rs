@@ -25,6 +25,11 @@ pub(crate) fn progress_target() -> ProgressDrawTarget {
     }
 }
 
+/// Columns of the terminal of standard error.
+pub(crate) fn columns() -> usize {
+    Terminal::size().0.into()
+}
+
 /// Whether standard output is a terminal on which the user wants colours; NO_COLOR disables them. Unlike progress bars,
 /// colours do not need TERM to be set.
 pub(crate) fn shows_colours() -> bool {

@@ -3,6 +3,7 @@
 //! through [`MetricsObserver`]. Either source alone leaves some metrics at 0. `deploy/src/metrics_server.rs` serves
 //! them.
 
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -19,7 +20,7 @@ use reveille_common::ids::Tti;
 use reveille_common::message::{EventUpdate, Frame, Message, MessageKind};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::{DeviceState, DeviceView};
-use reveille_common::totals::EnergyByState;
+use reveille_common::totals::{EnergyByState, MissCause};
 use reveille_common::units::Energy;
 
 /// Upper bounds of the delay buckets, TTIs.
@@ -56,6 +57,11 @@ impl KindLabels {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct StateLabels {
     state: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct CauseLabels {
+    cause: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -114,7 +120,7 @@ struct Handles {
     ttis: Counter,
     grants: Counter,
     events: Counter,
-    missed_events: Counter,
+    missed_events: Family<CauseLabels, Counter>,
     information: Counter<f64, AtomicU64>,
     wrong_activations: Counter,
     messages: Family<KindLabels, Counter>,
@@ -157,7 +163,7 @@ impl Handles {
             ttis: Counter::default(),
             grants: Counter::default(),
             events: Counter::default(),
-            missed_events: Counter::default(),
+            missed_events: Family::default(),
             information: Counter::default(),
             wrong_activations: Counter::default(),
             spent_energy: Family::default(),
@@ -181,7 +187,7 @@ impl Handles {
         registry.register("events", "Counted events that have ended", self.events.clone());
         registry.register(
             "events_missed",
-            "Counted events that ended without a report",
+            "Counted events that ended without a report, by cause",
             self.missed_events.clone(),
         );
         registry.register(
@@ -284,6 +290,9 @@ impl PrometheusMetrics {
         for state in ["sensing", "sleep", "report"] {
             drop(self.handles.spent_energy.get_or_create(&StateLabels { state }));
         }
+        for cause in MissCause::ALL {
+            drop(self.missed_events(Some(cause)));
+        }
         // `update_devices` clears the request, but the first states are wanted before any request.
         self.update_devices(&[]);
         self.request_device_count();
@@ -311,9 +320,15 @@ impl PrometheusMetrics {
             self.handles.wrong_activations.inc_by(record.tally.wrong_activations);
             match record.delay() {
                 Some(delay) => self.handles.event_delays.observe(delay as f64),
-                None => drop(self.handles.missed_events.inc()),
+                None => drop(self.missed_events(record.miss_cause).inc()),
             }
         }
+    }
+
+    /// The counter of missed events with this cause.
+    fn missed_events(&self, cause: Option<MissCause>) -> impl Deref<Target = Counter> {
+        let cause = cause.map_or("unknown", MissCause::name);
+        self.handles.missed_events.get_or_create(&CauseLabels { cause })
     }
 
     /// Requests a count of the devices by state and battery after the next grant. See [`Self::is_count_pending`].
@@ -539,7 +554,12 @@ mod tests {
         };
         let events = outcome.totals.events;
         assert_close(value("reveille_events_total "), events.events as f64);
-        assert_close(value("reveille_events_missed_total "), events.misdetected as f64);
+        let missed_by = |cause| format!("reveille_events_missed_total{{cause=\"{cause}\"}} ");
+        let missed: Vec<f64> = MissCause::ALL.map(|cause| value(&missed_by(cause.name()))).to_vec();
+        assert_close(missed.iter().sum(), events.misdetected as f64);
+        for (cause, metric) in MissCause::ALL.into_iter().zip(missed) {
+            assert_close(metric, outcome.totals.missed.by_cause(cause) as f64);
+        }
         assert_close(value("reveille_event_delay_ttis_sum "), events.delay_ttis as f64);
         assert_close(
             value("reveille_information_total "),

@@ -17,7 +17,7 @@ use super::layers::Merged;
 use super::names::{to_float, to_integer};
 use super::origins::{ValueOrigin, ValueOrigins};
 use super::value::{FieldRepr, FieldValue};
-use crate::units::Energy;
+use crate::units::{Energy, describe_rounding};
 
 /// Settings that [`crate::declare!`] declares and reads.
 pub trait Settings: Sized {
@@ -178,7 +178,11 @@ impl<'a> FieldReader<'a> {
             FieldType::Energy { is_positive } => {
                 let units = to_float(value).ok_or_else(|| refuse(&format_value(value)))?;
                 let energy = Energy::from_units(units).filter(|energy| !is_positive || *energy > Energy::ZERO);
-                T::from_value(FieldValue::Energy(energy.ok_or_else(|| refuse(&units))?))
+                let energy = energy.ok_or_else(|| refuse(&units))?;
+                if let Some(rounding) = describe_rounding(units, energy.units()) {
+                    self.warn(format!("{path} = {units} {rounding}"));
+                }
+                T::from_value(FieldValue::Energy(energy))
             }
             FieldType::Switch => value
                 .as_bool()

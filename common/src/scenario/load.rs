@@ -149,5 +149,8 @@ fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, Sce
             reason: format!("longer than {max_bytes} bytes"),
         },
     })?;
-    String::from_utf8(bytes).map_err(|_| refused(io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text")))
+    String::from_utf8(bytes).map_err(|_| {
+        let cause = "it is not UTF-8 text; name a scenario file or, for a recording, the folder of its run";
+        refused(io::Error::new(io::ErrorKind::InvalidData, cause))
+    })
 }

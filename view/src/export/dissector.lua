@@ -7,12 +7,13 @@
 -- Or put it into the folder of personal Lua plugins. Filters: reveille.wake, reveille.wake.device == 7.
 
 local reveille = Proto("reveille", "Reveille")
-local fields, units, kinds = {}, {}, {}
+local fields, kinds = {}, {}
 --@version
 local header = {
     tti = ProtoField.uint64("reveille.tti", "TTI"),
     plane = ProtoField.string("reveille.plane", "plane"),
     kind = ProtoField.string("reveille.kind", "kind"),
+    text = ProtoField.string("reveille.text", "text"),
     bytes = ProtoField.uint32("reveille.bytes", "bytes"),
 }
 --@fields
@@ -47,27 +48,6 @@ end
 
 local read = {}
 
--- Values for the Info column, the field with the receiver's or sender's number, and the depth of the list being read.
-local shown, number_field, lists = {}, "", 0
-local MOST_SHOWN = 5
-
--- Adds the value of the field at `path` to the Info column. The TTI and the number are in it already.
-local function show(path, value)
-    local name = path:match("[^.]+$")
-    if lists > 0 or #shown >= MOST_SHOWN or name == "tti" or name == number_field then
-        return
-    end
-    if units[path] == "micro-units" then
-        value = string.format("%g units", tonumber(tostring(value)) / 1e6)
-    elseif type(value) == "number" and value ~= math.floor(value) then
-        value = string.format("%.4g", value)
-    end
-    if units[path] == "m" then
-        value = value .. " m"
-    end
-    table.insert(shown, (name == "is" and "" or name .. " ") .. tostring(value))
-end
-
 -- Reads what `form` says at `at` into `tree`, and gives the place after it.
 local function dissect(form, data, at, tree)
     return read[form[1]](form, data, at, tree)
@@ -80,20 +60,17 @@ end
 function read.bool(form, data, at, tree)
     local value = data(at, 1):uint() == 1
     tree:add(fields[form[2]], data(at, 1), value)
-    show(form[2], value)
     return at + 1
 end
 
 function read.byte(form, data, at, tree)
     tree:add(fields[form[2]], data(at, 1))
-    show(form[2], data(at, 1):uint())
     return at + 1
 end
 
 function read.unsigned(form, data, at, tree)
     local value, range = varint(data, at)
     tree:add(fields[form[2]], range, value)
-    show(form[2], value)
     return at + range:len()
 end
 
@@ -103,7 +80,6 @@ function read.long(form, data, at, tree)
         value = UInt64.new(value)
     end
     tree:add(fields[form[2]], range, value)
-    show(form[2], value)
     return at + range:len()
 end
 
@@ -123,19 +99,16 @@ function read.signed(form, data, at, tree)
         value = value:band(1):tonumber() == 0 and Int64.new(half:lower(), half:higher()) or -Int64.new(half:lower(), half:higher()) - 1
     end
     tree:add(fields[form[2]], range, value)
-    show(form[2], value)
     return at + range:len()
 end
 
 function read.single(form, data, at, tree)
     tree:add_le(fields[form[2]], data(at, 4))
-    show(form[2], data(at, 4):le_float())
     return at + 4
 end
 
 function read.double(form, data, at, tree)
     tree:add_le(fields[form[2]], data(at, 8))
-    show(form[2], data(at, 8):le_float())
     return at + 8
 end
 
@@ -144,7 +117,6 @@ function read.text(form, data, at, tree)
     at = at + range:len()
     local value = length > 0 and data(at, length):string() or ""
     tree:add(fields[form[2]], length > 0 and data(at, length) or range, value)
-    show(form[2], value)
     return at + length
 end
 
@@ -167,12 +139,9 @@ end
 function read.seq(form, data, at, tree)
     local length, range = varint(data, at)
     at = at + range:len()
-    show(form[3], "× " .. length)
-    lists = lists + 1
     for _ = 1, length do
         at = dissect(form[2], data, at, tree)
     end
-    lists = lists - 1
     return at
 end
 
@@ -190,7 +159,6 @@ function read.choice(form, data, at, tree)
         error("no such choice")
     end
     tree:add(fields[form[2]], range, variant[1])
-    show(form[2], variant[1])
     return dissect(variant[2], data, at + range:len(), tree)
 end
 
@@ -211,7 +179,12 @@ function reveille.dissector(data, packet, root)
     tree:add_le(header.tti, data(6, 8))
     tree:add(header.plane, data(0, 1), kind.plane)
     tree:add(header.kind, data(0, 1), kind.name)
-    tree:add(header.bytes, data(14), data:len() - 14)
+    -- The text of `reveille inspect tail`, after its length.
+    local text_length = data(14, 2):le_uint()
+    local start = 16 + text_length
+    local text = text_length > 0 and data(16, text_length):string() or ""
+    tree:add(header.text, data(14, 2 + text_length), text)
+    tree:add(header.bytes, data(start), data:len() - start)
     local number = data(1, 1):uint() == 1 and data(2, 4):le_uint() or nil
     packet.cols.src = party(kind.from, kind, number)
     packet.cols.dst = party(kind.to, kind, number)
@@ -219,16 +192,15 @@ function reveille.dissector(data, packet, root)
     if number then
         info = info .. " " .. kind.addressee .. " " .. number
     end
-    local body = tree:add(fields[kind.name], data(14))
+    packet.cols.info = info .. ": " .. text
+    local body = tree:add(fields[kind.name], data(start))
     if number and kind.needs_number_field then
         body:add_le(fields[kind.name .. "." .. kind.addressee], data(2, 4))
     end
-    shown, number_field, lists = {}, number and kind.addressee or "", 0
     local ok, read_to = pcall(function()
-        assert(data(14, 1):uint() == version, "another version")
-        return dissect(kind.form, data, 15, body)
+        assert(data(start, 1):uint() == version, "another version")
+        return dissect(kind.form, data, start + 1, body)
     end)
-    packet.cols.info = info .. (#shown > 0 and ": " .. table.concat(shown, ", ") or "")
     if not ok or read_to ~= data:len() then
         tree:add_proto_expert_info(malformed)
     end

@@ -60,9 +60,6 @@ pub fn lua_script() -> String {
             fields,
             "fields[{path:?}] = ProtoField.{lua_type}(\"reveille.{path}\", {label:?})"
         );
-        if let Some(unit) = unit {
-            let _infallible = writeln!(fields, "units[{path:?}] = {unit:?}");
-        }
     }
     LUA_CORE
         .replace("--@fields", &fields)
@@ -77,7 +74,7 @@ struct ScriptBuilder<'a> {
     fields: BTreeMap<String, (&'static str, Option<&'static str>)>,
 }
 
-/// The unit of energies in messages. `dissector.lua` compares units with this text and with `m`.
+/// The unit of energies in messages.
 const ENERGY_UNIT: &str = "micro-units";
 
 /// Returns the unit of the number at `path`. Units follow from serialised names: energies and TTIs are plain numbers in
@@ -141,7 +138,7 @@ impl ScriptBuilder<'_> {
             Format::Bytes => self.add_leaf(path, "bytes", "bytes"),
             Format::Option(inner) => format!("{{\"option\", {}}}", self.form(inner, path)),
             Format::Seq(inner) if **inner == Format::U8 => self.add_leaf(path, "bytes", "bytes"),
-            Format::Seq(inner) => format!("{{\"seq\", {}, {path:?}}}", self.form(inner, path)),
+            Format::Seq(inner) => format!("{{\"seq\", {}}}", self.form(inner, path)),
             Format::TupleArray { content, size } => self.tuple_form(&vec![(**content).clone(); *size], path),
             Format::Tuple(parts) => self.tuple_form(parts, path),
             Format::Map { .. } => panic!("messages hold no maps"),

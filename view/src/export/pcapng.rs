@@ -3,8 +3,8 @@
 //!
 //! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
 //! (one byte, in the order of [`MessageKind::ALL`]), whether the message's bus key ends in a number (one byte, 0 or 1),
-//! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder repeats the offsets and the
-//! link type: change both.
+//! this number or 0 (four bytes), the TTI (eight bytes), and the text of `inspect tail` after its length in bytes (two
+//! bytes). `dissector.lua` in this folder repeats the offsets and the link type: change both.
 //!
 //! The order of [`MessageKind::ALL`] is thus part of the file format: a script dissects only files of the same
 //! [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), the first byte of each payload, which changes with this
@@ -19,10 +19,13 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 use pcap_file::{DataLink, Endianness, PcapError};
 use reveille_common::message::{Frame, MessageKind};
 
+use crate::frame_line::FrameLine;
 use crate::recording::log_time;
 
-/// Length of a packet header, bytes.
+/// Length of a packet header before the text and its length, bytes.
 const HEADER_BYTES: usize = 14;
+/// Most bytes of a text; longer ones are cut.
+const MAX_TEXT_BYTES: usize = 1000;
 /// Negative decimal exponent of the resolution of time stamps: 10⁻⁹ s.
 const TIMESTAMP_RESOLUTION_EXPONENT: u8 = 9;
 
@@ -82,11 +85,15 @@ pub fn kind_number(kind: MessageKind) -> u8 {
 }
 
 fn packet_bytes(frame: &Frame) -> Vec<u8> {
-    let mut packet = Vec::with_capacity(HEADER_BYTES + frame.payload.len());
+    let text = FrameLine::new(frame).text();
+    let text = &text.as_bytes()[..text.floor_char_boundary(MAX_TEXT_BYTES)];
+    let mut packet = Vec::with_capacity(HEADER_BYTES + 2 + text.len() + frame.payload.len());
     packet.push(kind_number(frame.kind));
     packet.push(u8::from(frame.number.is_some()));
     packet.extend(frame.number.unwrap_or(0).to_le_bytes());
     packet.extend(frame.tti.0.to_le_bytes());
+    packet.extend((text.len() as u16).to_le_bytes());
+    packet.extend(text);
     packet.extend(&frame.payload);
     packet
 }
@@ -121,7 +128,10 @@ mod tests {
         assert_eq!(packet.timestamp.as_nanos(), u128::from(TTI * NANOS_PER_TTI));
         assert_eq!(packet.data[..6], [kind_number(MessageKind::Wake), 1, 7, 0, 0, 0]);
         assert_eq!(packet.data[6..HEADER_BYTES], TTI.to_le_bytes());
-        assert_eq!(packet.data[HEADER_BYTES..], frame.payload);
+        let text = FrameLine::new(&frame).text();
+        let (length, after) = packet.data[HEADER_BYTES..].split_at(2);
+        assert_eq!(length, (text.len() as u16).to_le_bytes());
+        assert_eq!(after, [text.as_bytes(), &frame.payload].concat());
         assert!(reader.next_block().is_none());
     }
 }

@@ -17,8 +17,9 @@ use crate::declare::{
     FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, ScenarioError, Section, Visit, choice, file, number, text, texts,
     whole,
 };
+use crate::digits::format_significant;
 use crate::ids::{MAX_TTIS, Tti};
-use crate::units::{Energy, MAX_UNITS};
+use crate::units::{Energy, MAX_UNITS, describe_rounding};
 
 choices! {
     /// Behaviour after the last row of a trace.
@@ -174,7 +175,7 @@ impl HarvestTrace {
         let values =
             start_at_row(numbers, first_row, settings.end, ttis.div_ceil(settings.ttis_per_row)).and_then(|numbers| {
                 match &panel {
-                    None => scale_to_energy(&numbers, names, settings.scale),
+                    None => scale_to_energy(reader, &numbers, names, settings.scale),
                     Some(panel) => convert_irradiance(panel, &numbers, names, settings.end, ttis),
                 }
             });
@@ -282,8 +283,13 @@ fn start_at_row(
     Ok(numbers)
 }
 
-/// Converts `numbers` by column and row to energy per TTI.
-fn scale_to_energy(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
+/// Converts `numbers` by column and row to energy per TTI. Warns of columns whose mean changes by rounding.
+fn scale_to_energy(
+    reader: &FieldReader<'_>,
+    numbers: &ColumnData<f64>,
+    names: &[String],
+    scale: f64,
+) -> Result<Vec<Vec<Energy>>, String> {
     let energy = |name: &str, (row, &number): (usize, &f64)| {
         Energy::from_units(number * scale).ok_or_else(|| {
             format!(
@@ -293,8 +299,23 @@ fn scale_to_energy(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> R
             )
         })
     };
-    let column =
-        |(values, name): (&Vec<f64>, &String)| values.iter().enumerate().map(|item| energy(name, item)).collect();
+    let column = |(values, name): (&Vec<f64>, &String)| {
+        let energies: Vec<Energy> = values
+            .iter()
+            .enumerate()
+            .map(|item| energy(name, item))
+            .collect::<Result<_, _>>()?;
+        let rows = values.len().max(1) as f64;
+        let exact_mean = scale * values.iter().sum::<f64>() / rows;
+        let rounded_mean = energies.iter().map(|energy| energy.units()).sum::<f64>() / rows;
+        if let Some(rounding) = describe_rounding(exact_mean, rounded_mean) {
+            reader.warn(format!(
+                "the mean of column `{name}` of the trace, {} per TTI, {rounding}",
+                format_significant(exact_mean, 3)
+            ));
+        }
+        Ok(energies)
+    };
     numbers.values.iter().zip(names).map(column).collect()
 }
 

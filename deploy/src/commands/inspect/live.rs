@@ -204,17 +204,21 @@ impl Live {
             };
             match batch {
                 Some((losses, batch)) if losses == survived_losses => return Some(self.count_gap(batch)),
-                // A batch of the next connection does not follow the last one.
-                Some((_, batch)) => self.note_end(&batch),
-                None => {}
+                Some((_, batch)) => return self.take_late(batch),
+                None => self.has_ended = true,
             }
-            self.has_ended = true;
         }
         // The end of the run becomes visible before its last batches arrive.
         let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
         let (_, batch) = self.signals.unless_interrupted(last_batch).await?.ok().flatten()?;
+        self.take_late(batch)
+    }
+
+    /// Takes a batch that arrived after the loss of the base station. Returns its frames, unless the base station is
+    /// back: then it may be a batch of the next connection, whose frames the catch-up repeats.
+    fn take_late(&mut self, batch: FrameBatch) -> Option<(Vec<Frame>, u64)> {
+        self.has_ended = true;
         if self.bs_presence.borrow().is_present {
-            // It may be a batch of the next connection; the catch-up repeats its frames.
             self.note_end(&batch);
             return None;
         }

@@ -133,17 +133,17 @@ impl SweepDisplay {
         let elapsed = now.duration_since(self.started_at);
         self.bar.set_length(planned_runs);
         self.bar.set_position(finished_runs);
-        let label = &self.labels[self.current_cell.load(Ordering::Relaxed)];
+        let label = self.labels[self.current_cell.load(Ordering::Relaxed)].clone();
         // The first runs alone do not measure a rate.
-        self.bar.set_message(if finished_runs == 0 || elapsed < LEAST_MEASURED {
-            label.clone()
+        let parts = if finished_runs == 0 || elapsed < LEAST_MEASURED {
+            vec![label]
         } else {
-            format!(
-                "{}  {:#} left  {label}",
-                display::format_speed(device_ttis / elapsed.as_secs_f64()),
-                HumanDuration(self.remaining_time())
-            )
-        });
+            let time_left = format!("{:#} left", HumanDuration(self.remaining_time()));
+            let speed = display::format_speed(device_ttis / elapsed.as_secs_f64());
+            vec![time_left, label, speed]
+        };
+        let used = display::BAR_COLUMNS + format!("{finished_runs}/{planned_runs} runs  ").len();
+        self.bar.set_message(display::join_fitting(&parts, used));
     }
 
     /// Estimates the remaining time, as the header describes.

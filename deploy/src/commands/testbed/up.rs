@@ -18,7 +18,7 @@ use super::model::Testbed;
 use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
 use super::results::{check_digest, copy_results};
 use crate::cli::TestbedUpArgs;
-use crate::display::{count_noun, new_bar, note, print_stdout, shell_word};
+use crate::display::{RUN_BAR, count_noun, new_bar, note, print_stdout, shell_word};
 use crate::exit::{ExitReason, Interrupted};
 use crate::signals::{SignalMode, Signals};
 
@@ -130,7 +130,7 @@ impl<'a> Driver<'a> {
         project: &'a Project,
         signals: &'a Signals,
     ) -> anyhow::Result<Self> {
-        let bar = new_bar(testbed.scenario.run.ttis, "{bar:12} {wide_msg}", false);
+        let bar = new_bar(testbed.scenario.run.ttis, RUN_BAR, false);
         bar.set_message("starting the base station");
         docker.start_bs(testbed, project)?;
         let mut driver = Self {
