@@ -149,7 +149,7 @@ fn run_and_read(command: &mut Command, browsers: u32, expected_readers: usize) -
         let (stderr_text, readers) = stderr_thread.join().unwrap_or_default();
         let status = wait_result?;
         read_result?;
-        anyhow::ensure!(status.success(), "reveille up: {stderr_text}");
+        anyhow::ensure!(status.success(), "`reveille up` failed:\n{}", stderr_text.trim_end());
         anyhow::ensure!(
             readers == expected_readers,
             "{readers} of {expected_readers} observers could read the run; its output was: {stderr_text}"

@@ -73,6 +73,12 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
             report.conditions_left_out.describe()
         );
     }
+    if report.columns.is_empty() {
+        note!(
+            "report: the paper makes no statement on these tables, so the report judges nothing; use a table with \
+             several policies or numbers of devices"
+        );
+    }
     let mut pictures = Vec::new();
     let mut titles_and_files = Vec::new();
     for preset in report.missing_presets() {
