@@ -64,9 +64,10 @@ class Run:
         self.call("inspect", "verify", str(self.file))
         tail = self.call("inspect", "tail", str(self.file), "--json")
         self.lines = [json.loads(line) for line in tail.splitlines()]
-        texts = self.call("inspect", "tail", str(self.file)).splitlines()
-        for line, text in zip(self.lines, texts, strict=True):
-            line["text"] = text.split(" B  ", 1)[1]
+        # The text of a message follows its number of bytes.
+        tail = self.call("inspect", "tail", str(self.file))
+        self.texts = [line.split(" B  ", 1)[1] for line in tail.splitlines()]
+        assert len(self.texts) == len(self.lines)
         assert len(self.lines) > 1000, f"only {len(self.lines)} messages"
 
     def call(self, *args):
@@ -188,17 +189,16 @@ def check_packet_list(run, command):
     # The run over the bus has answers, the run in memory wake-ups.
     assert {"plan", "report"} < kinds, kinds
     for kind in kinds:
-        lines = [line for line in run.lines if line["kind"] == kind]
+        lines = [(line, text) for line, text in zip(run.lines, run.texts) if line["kind"] == kind]
         listed = subprocess.run([*columns, "-Y", f"reveille.{kind}"], capture_output=True, text=True)
         rows = [[cell.strip() for cell in row.split("\t")] for row in listed.stdout.splitlines()]
         assert len(rows) == len(lines), (kind, len(rows), len(lines), listed.stderr)
-        for (source, info, destination), line in zip(rows, lines):
+        for (source, info, destination), (line, expected_text) in zip(rows, lines):
             expected = tuple(party.format(line["number"]) for party in parties[kind])
             assert (source, destination) == expected, (source, destination, line)
-            # The info holds the text of `inspect tail`, which follows the number of bytes.
             header, text = info.split(": ", 1)
             assert header.startswith(f"TTI {line['tti']} {line['plane']} {kind}"), (info, line)
-            assert text == line["text"], (info, line)
+            assert text == expected_text, (info, expected_text)
     details = subprocess.run([*command, "-V", "-Y", "reveille.report"], capture_output=True, text=True).stdout
     assert "battery (micro-units): " in details and "tti (TTI): " in details, details[:2000]
 

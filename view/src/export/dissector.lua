@@ -115,7 +115,7 @@ end
 function read.text(form, data, at, tree)
     local length, range = varint(data, at)
     at = at + range:len()
-    local value = length > 0 and data(at, length):string() or ""
+    local value = length > 0 and data(at, length):string(ENC_UTF_8) or ""
     tree:add(fields[form[2]], length > 0 and data(at, length) or range, value)
     return at + length
 end
@@ -182,7 +182,7 @@ function reveille.dissector(data, packet, root)
     -- The text of `reveille inspect tail`, after its length.
     local text_length = data(14, 2):le_uint()
     local start = 16 + text_length
-    local text = text_length > 0 and data(16, text_length):string() or ""
+    local text = text_length > 0 and data(16, text_length):string(ENC_UTF_8) or ""
     tree:add(header.text, data(14, 2 + text_length), text)
     tree:add(header.bytes, data(start), data:len() - start)
     local number = data(1, 1):uint() == 1 and data(2, 4):le_uint() or nil
