@@ -37,6 +37,7 @@ mod sweep_seeds;
 mod takeover;
 #[cfg(feature = "tls")]
 mod tls;
+mod toml_hints;
 mod train;
 mod tune;
 mod tutorial;
