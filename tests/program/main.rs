@@ -35,6 +35,7 @@ mod sweep;
 mod sweep_actions;
 mod sweep_seeds;
 mod takeover;
+mod testbed;
 #[cfg(feature = "tls")]
 mod tls;
 mod toml_hints;

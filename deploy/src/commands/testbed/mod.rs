@@ -36,6 +36,7 @@ use crate::exit::ExitReason;
 use crate::run_folder::SCENARIO_FILE;
 use crate::scenario_files::ScenarioFiles;
 use crate::signals::{SignalMode, Signals};
+use crate::terminal::shows_colours;
 
 /// Executes a subcommand.
 pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
@@ -63,9 +64,10 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
             if let Some(service) = container {
                 docker.container(&project, service)?;
             }
-            let options = follow.then_some("--follow").into_iter().chain(container.as_deref());
-            let command = [&["logs"][..], &options.collect::<Vec<_>>()].concat();
-            return docker.compose_in_foreground(&project, &command);
+            let colours = (!shows_colours()).then_some("--no-color");
+            let options = colours.into_iter().chain(follow.then_some("--follow"));
+            let words = ["logs"].into_iter().chain(options).chain(container.as_deref());
+            return docker.compose_in_foreground(&project, &words.collect::<Vec<_>>());
         }
         TestbedCommand::Clock { folder, args } => {
             let (docker, project) = find_project(folder)?;

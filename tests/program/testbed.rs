@@ -1,0 +1,51 @@
+//! `reveille testbed` with a program in place of the engine. It answers the commands of this file and prints the others.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
+
+use reveille_tests::process::{FinishedProcess, Process, TestFolder};
+
+/// A program that answers as `docker` does: a base station with the status in the file `status`, and a device container
+/// with the limit of processor cores in the file `limit`.
+const ENGINE: &str = r#"#!/bin/sh
+case "$*" in
+  "compose version" | "version "*) echo 29 ;;
+  "ps "*Networks*) printf 'b5\tbs\t%s\tnet\nd1\tdevice-1\tUp 5 seconds\tnet\n' "$(cat status)" ;;
+  "ps "*) ;;
+  "inspect --format {{.HostConfig.NanoCpus}} b5 d1") printf '0\n%s\n' "$(cat limit)" ;;
+  "exec b5 reveille clock status") echo "running at TTI 1 of 400" ;;
+  "stats "* | "port "* | "logs "*) ;;
+  *) echo "$*" ;;
+esac
+"#;
+
+/// A folder with a testbed `my` of one container, and the engine.
+struct Fixture(TestFolder);
+
+impl Fixture {
+    /// Makes the testbed with these options of `testbed init`.
+    fn new(options: &str) -> Self {
+        let folder = TestFolder::new();
+        folder.write("docker", ENGINE);
+        fs::set_permissions(folder.join("docker"), Permissions::from_mode(0o755)).expect("ours");
+        folder.write("status", "Up 5 seconds");
+        folder.write("limit", "0");
+        let init = folder.run(&format!("testbed init -n 5 -k 400 --containers 1 --out my {options}"));
+        assert!(init.is_success(), "{init}");
+        Self(folder)
+    }
+
+    /// Runs `reveille testbed ARGS`.
+    fn run(&self, args: &str) -> FinishedProcess {
+        let path = std::env::var("PATH").expect("set");
+        let path = format!("{}:{path}", self.0.path().display());
+        let mut command = self.0.command(&format!("testbed {args}"));
+        Process::start(command.env("PATH", path)).finish()
+    }
+}
+
+#[test]
+fn logs_in_a_pipe_have_no_colours() {
+    let logs = Fixture::new("").run("logs my bs --follow");
+    assert!(logs.stdout.ends_with("logs --no-color --follow bs\n"), "{logs}");
+}
