@@ -49,3 +49,21 @@ fn logs_in_a_pipe_have_no_colours() {
     let logs = Fixture::new("").run("logs my bs --follow");
     assert!(logs.stdout.ends_with("logs --no-color --follow bs\n"), "{logs}");
 }
+
+#[test]
+fn a_container_at_its_declared_limit_is_not_slow() {
+    for (options, limit, is_slow) in [
+        ("--cpus 0.05", "50000000", false),
+        ("--cpus 0.5", "50000000", true),
+        ("", "50000000", true),
+        ("", "0", false),
+    ] {
+        let fixture = Fixture::new(options);
+        fixture.0.write("limit", limit);
+        let status = fixture.run("status my");
+        assert!(status.is_success(), "{status}");
+        let line = status.stdout.lines().find(|line| line.contains("device-1"));
+        let line = line.expect("a line of the container");
+        assert_eq!(line.contains(", slow"), is_slow, "{options} {limit}: {line}");
+    }
+}

@@ -190,14 +190,17 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
             clock.unwrap_or_else(|_| "the base station does not answer".to_owned())
         }
     };
-    let (memory, slow) = (docker.memory(&containers)?, docker.slow_containers(&containers)?);
+    let (memory, slow) = (
+        docker.memory(&containers)?,
+        docker.slow_containers(testbed, &containers)?,
+    );
     let services = testbed.services();
     let mut text = format!("{}: {}\n", testbed.config.name, shorten_clock(&clock, &services));
     let width = services.iter().map(String::len).max().unwrap_or_default();
     for service in services {
         let container = containers.iter().find(|container| container.service == service);
         let mut state = container.map_or_else(|| "not created".to_owned(), Container::state);
-        if container.is_some_and(|container| slow.iter().any(|id| id.starts_with(&container.id))) {
+        if container.is_some_and(|container| slow.contains(&container.id)) {
             state.push_str(", slow");
         }
         let memory = container.and_then(|container| memory.get(&container.id));
