@@ -1,9 +1,9 @@
 //! `reveille testbed` with a program in place of the engine. It answers the commands of this file and prints the others.
 
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
 use std::os::unix::fs::PermissionsExt;
 
-use reveille_tests::process::{FinishedProcess, Process, TestFolder};
+use reveille_tests::process::{FinishedProcess, Process, TestFolder, assert_refused};
 
 /// A program that answers as `docker` does: a base station with the status in the file `status`, and a device container
 /// with the limit of processor cores in the file `limit`.
@@ -66,4 +66,37 @@ fn a_container_at_its_declared_limit_is_not_slow() {
         let line = line.expect("a line of the container");
         assert_eq!(line.contains(", slow"), is_slow, "{options} {limit}: {line}");
     }
+}
+
+#[test]
+fn the_clock_of_an_ended_testbed_is_refused_with_the_fix() {
+    let fixture = Fixture::new("");
+    assert!(fixture.run("clock my status").stdout.contains("TTI 1 of 400"));
+    fixture.0.write("status", "Exited (0) 3 seconds ago");
+    let refused = fixture.run("clock my pause");
+    assert_refused(&refused, 1, &["bs: the run is over", "reveille testbed results my"]);
+    fixture.0.write("status", "Exited (130) 3 seconds ago");
+    let refused = fixture.run("clock my pause");
+    assert_refused(
+        &refused,
+        1,
+        &["bs: the container does not run", "reveille testbed up my"],
+    );
+}
+
+#[test]
+fn a_testbed_is_not_removed_under_a_running_up() {
+    let fixture = Fixture::new("");
+    // `testbed up` locks its folder in this way.
+    let up = File::open(fixture.0.join("my")).expect("there");
+    up.lock().expect("free");
+    let refused = fixture.run("down my");
+    assert_refused(
+        &refused,
+        1,
+        &["another `reveille testbed up`", "end it with Ctrl-C", "down my"],
+    );
+    drop(up);
+    let down = fixture.run("down my");
+    assert!(down.stderr.contains("removed the containers"), "{down}");
 }

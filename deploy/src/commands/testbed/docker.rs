@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 
 use super::compose::{COMPOSE_FILE, NETWORK};
+use super::container::Container;
 use super::faults::Fault;
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
@@ -37,47 +38,6 @@ impl Project {
             folder: testbed.folder.clone(),
             name: testbed.config.name.clone(),
         }
-    }
-}
-
-/// A container of a project.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Container {
-    pub id: String,
-    pub service: String,
-    /// Its state and for how long, such as `Up 5 seconds (healthy)`.
-    pub status: String,
-    /// Whether it is on a network.
-    pub is_connected: bool,
-}
-
-impl Container {
-    /// Its state, for users.
-    pub(super) fn state(&self) -> String {
-        let cut_off = self.status.starts_with("Up") && !self.is_connected;
-        format!("{}{}", self.status, if cut_off { ", disconnected" } else { "" })
-    }
-
-    /// Checks that it can be disturbed.
-    fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
-        let Self { service, status, .. } = self;
-        ensure!(
-            status.starts_with("Up"),
-            "{fault}: {service} does not run ({status}); only running containers can be disturbed"
-        );
-        let needs_processes = matches!(fault.kind, FaultKind::Kill | FaultKind::Pause | FaultKind::Stop);
-        ensure!(
-            !needs_processes || !status.contains("(Paused)"),
-            "{fault}: {service} is paused; end that with `restore` first"
-        );
-        Ok(())
-    }
-
-    /// The exit code of its last process; `None` while one runs.
-    pub(super) fn exit_code(&self) -> Option<u8> {
-        let (state, rest) = self.status.split_once(" (")?;
-        let (code, _) = rest.split_once(')')?;
-        ["Exited", "Restarting"].contains(&state).then(|| code.parse().ok())?
     }
 }
 
@@ -531,24 +491,5 @@ mod tests {
             assert_eq!(is_slow(nano_cpus, declared), is_expected, "{nano_cpus} {declared:?}");
         }
         assert_eq!([None, Some(0.5), Some(0.01)].map(slow_cpus), [0.05, 0.05, 0.01]);
-    }
-
-    #[test]
-    fn a_status_has_the_exit_code_of_an_ended_process() {
-        for (status, exit_code) in [
-            ("Up 5 seconds (healthy)", None),
-            ("Up 2 minutes (Paused)", None),
-            ("Exited (0) 3 seconds ago", Some(0)),
-            ("Restarting (137) Less than a second ago", Some(137)),
-            ("Created", None),
-        ] {
-            let container = Container {
-                id: String::new(),
-                service: String::new(),
-                status: status.to_owned(),
-                is_connected: true,
-            };
-            assert_eq!(container.exit_code(), exit_code, "{status}");
-        }
     }
 }

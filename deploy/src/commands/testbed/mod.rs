@@ -5,6 +5,7 @@
 
 mod compose;
 mod config;
+mod container;
 mod docker;
 mod faults;
 mod model;
@@ -24,11 +25,13 @@ use anyhow::{Context, ensure};
 
 use self::compose::write_compose;
 use self::config::{CONFIG_FILE, TestbedConfig};
-use self::docker::{Container, Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
+use self::container::Container;
+use self::docker::{Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
 use self::placement::{BS_SERVICE, DASHBOARD_SERVICE};
 use self::results::copy_results;
+use self::up::lock_folder;
 use super::resolve_scenario::resolve_with_builtin_policy;
 use crate::cli::{TestbedArgs, TestbedCommand, TestbedInitArgs};
 use crate::display::{count_noun, note, print_stdout, shell_word};
@@ -48,6 +51,9 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
                 Ok(_) => find_project(&folder.path)?,
                 Err(error) => find_started(&folder.path, error)?,
             };
+            let again = shell_word(&folder.path);
+            let fix = format!("end it with Ctrl-C, then repeat `reveille testbed down {again}`");
+            let _lock = lock_folder(&folder.path, &fix)?;
             docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
             note!(
                 "removed the containers, the network and the volumes of {}",
@@ -71,7 +77,9 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
         }
         TestbedCommand::Clock { folder, args } => {
             let (docker, project) = find_project(folder)?;
-            return clock_in_foreground(&docker.container(&project, BS_SERVICE)?, args);
+            let bs = docker.container(&project, BS_SERVICE)?;
+            bs.check_answers(folder)?;
+            return clock_in_foreground(&bs, args);
         }
         TestbedCommand::Results(folder) => {
             let testbed = Testbed::load(&folder.path)?;
