@@ -234,7 +234,8 @@ impl RegistryEntry {
         let tls = self.tls.as_deref();
         let tls = tls.map_or_else(String::new, |tls| format!(" --tls {}", shell_word(tls)));
         format!(
-            "run {}: its base station (pid {}) has ended; resume the run with `reveille {command} --resume {folder}{tls}`",
+            "run {}: its base station (pid {}) has ended; resume the run with `reveille {command} --resume \
+             {folder}{tls}`",
             self.run, self.pid,
         )
     }

@@ -1,4 +1,4 @@
-//! `reveille testbed` with a program in place of the engine. It answers the commands of this file and prints the others.
+//! `reveille testbed` with a program in place of the engine. It answers the commands of this file, and prints others.
 
 use std::fs::{self, File, Permissions};
 use std::os::unix::fs::PermissionsExt;

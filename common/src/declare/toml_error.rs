@@ -123,13 +123,14 @@ mod tests {
             ("name = two", "invalid boolean, expected `true`; put text in quotes"),
             (
                 "nane = \"a\"",
-                "unknown field `nane`; did you mean `name`?; the fields there are `name`, `containers`, `cpus`, `faults`",
+                "unknown field `nane`; did you mean `name`?; the fields there are `name`, `containers`, `cpus`, \
+                 `faults`",
             ),
             ("colour = 1", "unknown field `colour`; the fields there are `name`"),
             (
                 "containers = 1e4",
-                "containers: invalid type: floating point `10000.0`, expected a whole number that is not negative; use a \
-                 whole number such as 10000",
+                "containers: invalid type: floating point `10000.0`, expected a whole number that is not negative; use \
+                 a whole number such as 10000",
             ),
             (
                 "containers = \"5\"",

@@ -95,7 +95,8 @@ mod tests {
             ),
             (
                 "Exited (130) 2 hours ago",
-                "bs: the container does not run (Exited (130) 2 hours ago); continue the run with `reveille testbed up my`",
+                "bs: the container does not run (Exited (130) 2 hours ago); continue the run with \
+                 `reveille testbed up my`",
             ),
             (
                 "Created",
