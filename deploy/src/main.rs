@@ -30,6 +30,7 @@ mod policy_source;
 mod recording;
 mod results_table;
 mod resume_mark;
+mod run_address;
 mod run_folder;
 mod run_reader;
 mod run_registry;

@@ -15,6 +15,7 @@
 //! | `summary.json` | metrics, digest, timing, versions |
 //! | `inputs.log` | external inputs: removals under `--on-loss continue`, decisions of `external`, actions |
 //! | `resume.json` | the resume mark for `--resume`; removed once the run is complete |
+//! | `address.json` | the name and the address on the bus, for `--resume`; removed once the run is complete |
 //! | `RUNNING` | exists and is locked during the run; left behind by a killed run |
 //! | `FAILED` | the reason why a run ended without a summary |
 
@@ -37,6 +38,7 @@ use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
 use crate::paths::check_output_folder;
 use crate::resume_mark::RESUME_MARK_FILE;
+use crate::run_address::ADDRESS_FILE;
 use crate::run_tables;
 use crate::scenario_files::{self, ScenarioFiles};
 use crate::summary::Summary;
@@ -56,7 +58,7 @@ pub(crate) const WINDOWS_FILE: &str = "windows.csv";
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
 /// The files of a run, except the scenario and the running mark.
-const RESULT_FILES: [&str; 8] = [
+const RESULT_FILES: [&str; 9] = [
     SUMMARY_FILE,
     LEARNED_FILE,
     FAILED_FILE,
@@ -65,9 +67,11 @@ const RESULT_FILES: [&str; 8] = [
     WINDOWS_FILE,
     INPUT_LOG_FILE,
     RESUME_MARK_FILE,
+    ADDRESS_FILE,
 ];
 /// Part files that a run killed during a write may have left.
-const PART_FILES: [&str; 6] = [
+const PART_FILES: [&str; 7] = [
+    "address.json.part",
     "inputs.log.part",
     "resume.json.part",
     "scenario.toml.part",
@@ -155,24 +159,9 @@ impl RunFolder {
         &self.path
     }
 
-    /// The last part of its path, changed to a valid run name.
+    /// The name of a run in it, see [`run_name`].
     pub(crate) fn name(&self) -> String {
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let to_name_char = |c: char| {
-            if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
-                c
-            } else {
-                '-'
-            }
-        };
-        // A run name (`RunName`) has at most 64 characters and does not begin with `-`.
-        let name: String = name
-            .chars()
-            .map(to_name_char)
-            .skip_while(|&c| c == '-')
-            .take(64)
-            .collect();
-        if name.is_empty() { "run".to_owned() } else { name }
+        run_name(&self.path)
     }
 
     /// Writes the devices and the summary, and removes the running mark. Call [`Self::write_learned`] and close the
@@ -190,6 +179,9 @@ impl RunFolder {
         // The summary comes after all other files.
         self.tables.flush().with_context(write_error)?;
         self.write_devices(scenario, outcome).with_context(write_error)?;
+        if outcome.is_complete {
+            remove_files(&self.path, [ADDRESS_FILE].into_iter())?;
+        }
         replace(&self.path.join(SUMMARY_FILE), summary.to_json()?.as_bytes()).with_context(write_error)?;
         self.lock
             .take()
@@ -289,6 +281,26 @@ fn begin_tables(path: &Path) -> anyhow::Result<TableWriter> {
         (WINDOWS_FILE, run_tables::window_columns().collect()),
     ];
     TableWriter::begin(path, &tables)
+}
+
+/// Returns the last part of the path of a run folder, changed to a valid run name.
+pub(crate) fn run_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let to_name_char = |c: char| {
+        if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
+            c
+        } else {
+            '-'
+        }
+    };
+    // A run name (`RunName`) has at most 64 characters and does not begin with `-`.
+    let name: String = name
+        .chars()
+        .map(to_name_char)
+        .skip_while(|&c| c == '-')
+        .take(64)
+        .collect();
+    if name.is_empty() { "run".to_owned() } else { name }
 }
 
 /// Whether the run in a folder is complete, by the `status` of its summary ([`Summary::status`]).

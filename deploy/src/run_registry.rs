@@ -16,6 +16,7 @@ use reveille_common::secret::Secret;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::TargetArgs;
+use crate::display::shell_word;
 use crate::run_folder::{SCENARIO_FILE, SUMMARY_FILE};
 use crate::{key, tls};
 
@@ -35,6 +36,8 @@ struct RegistryEntry {
     tls: Option<PathBuf>,
     /// The run folder; other versions do not write it.
     folder: Option<PathBuf>,
+    /// The subcommand of the base station, `up` or `bs`; other versions do not write it.
+    command: Option<String>,
 }
 
 /// The entries in the registry.
@@ -89,8 +92,8 @@ impl Drop for Registration {
     }
 }
 
-/// Registers the base station of `run` in this process, with its `key`, its `endpoint`, the folder of its certificates
-/// and the run folder.
+/// Registers the base station of `run` in this process, with its `key`, its `endpoint`, its subcommand, the
+/// folder of its certificates and the run folder.
 ///
 /// # Errors
 /// If the entry cannot be written.
@@ -98,7 +101,7 @@ pub(crate) fn register(
     run: &RunName,
     endpoint: &str,
     key: Option<Secret>,
-    tls: Option<&Path>,
+    (command, tls): (&str, Option<&Path>),
     folder: &Path,
 ) -> anyhow::Result<Registration> {
     let registry_folder = registry_folder();
@@ -122,6 +125,7 @@ pub(crate) fn register(
         key: key.map(|key| key.to_string()),
         tls: tls.map(std::path::absolute).transpose()?,
         folder: Some(std::path::absolute(folder)?),
+        command: Some(command.to_owned()),
     };
     write_entry(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registration(path))
@@ -225,12 +229,14 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
 impl RegistryEntry {
     /// Describes the end of the base station, with the command that resumes the run.
     fn describe_end(&self) -> String {
-        let folder = self.folder.as_deref().unwrap_or(Path::new("FOLDER"));
+        let folder = shell_word(self.folder.as_deref().unwrap_or(Path::new("FOLDER")));
+        let command = self.command.as_deref().unwrap_or("up");
+        let tls = self.tls.as_deref();
+        let tls = tls.map_or_else(String::new, |tls| format!(" --tls {}", shell_word(tls)));
         format!(
-            "run {}: its base station (pid {}) has ended; resume the run with `reveille up --resume {}`",
-            self.run,
-            self.pid,
-            folder.display()
+            "run {}: its base station (pid {}) has ended; resume the run with `reveille {command} --resume \
+             {folder}{tls}`",
+            self.run, self.pid,
         )
     }
 

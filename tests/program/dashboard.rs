@@ -282,12 +282,10 @@ fn device_ledgers_balance_and_filters_equal_those_of_tail() {
 #[test]
 fn a_dashboard_waits_for_a_killed_base_station_and_shows_its_resumed_run() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("dies"), free_endpoint());
-    let up = |options: &str| {
-        folder.start(&format!(
-            "up {options} -P 1 --run {run} --listen {endpoint} --quiet --pace 5ms"
-        ))
-    };
-    let killed_up = up("-p knn -n 10 -k 1000000 --out o");
+    let up = |options: &str| folder.start(&format!("up {options} -P 1 --quiet --pace 5ms"));
+    let killed_up = up(&format!(
+        "-p knn -n 10 -k 1000000 --out o --run {run} --listen {endpoint}"
+    ));
     folder.wait_for_tti(&run, 1);
     let dashboard = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
     let page = DashboardPage::from_output_of(&dashboard);
@@ -314,7 +312,9 @@ fn a_dashboard_waits_for_a_killed_base_station_and_shows_its_resumed_run() {
     second_dashboard.signal(Signal::INT);
     assert!(second_dashboard.finish().is_success());
     let tti_at_loss = page.get("/api/now")["next"].as_u64().expect("a TTI");
-    let resumed_up = up("--resume o");
+    // Another name of the folder, and no option: the folder has the name and the address of the run.
+    std::fs::rename(folder.join("o"), folder.join("moved")).expect("ours");
+    let resumed_up = up("--resume moved");
     dashboard.wait_for_stderr("the base station is back");
     wait_until("later TTIs", PATIENCE, || {
         page.get("/api/now")["next"]

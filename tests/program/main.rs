@@ -35,8 +35,10 @@ mod sweep;
 mod sweep_actions;
 mod sweep_seeds;
 mod takeover;
+mod testbed;
 #[cfg(feature = "tls")]
 mod tls;
+mod toml_hints;
 mod train;
 mod tune;
 mod tutorial;

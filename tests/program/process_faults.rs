@@ -72,7 +72,14 @@ fn a_killed_device_process_ends_up() {
     assert_no_process_left(&run);
     assert_eq!(
         folder.list("out"),
-        ["FAILED", "events.csv", "resume.json", "scenario.toml", "windows.csv"]
+        [
+            "FAILED",
+            "address.json",
+            "events.csv",
+            "resume.json",
+            "scenario.toml",
+            "windows.csv"
+        ]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
     for message in [&why, &finished.stderr] {
@@ -210,6 +217,7 @@ fn check_interrupted_run(command: &str, signal: Signal) {
     assert_eq!(
         folder.list("out"),
         [
+            "address.json",
             "devices.csv",
             "events.csv",
             "resume.json",

@@ -96,7 +96,10 @@ fn a_killed_base_station_resumes_with_its_live_hosts() {
     folder.wait_for_tti(&run, 1);
     bs.signal(Signal::KILL);
     bs.finish();
-    let bs = folder.start(&format!("bs --resume out {bs_options}"));
+    let hint = format!("reveille bs --resume {}`", folder.join("out").display());
+    assert_refused(&folder.run("clock status"), 1, &[&hint]);
+    // The folder has the name and the address of the run.
+    let bs = folder.start("bs --resume out --pace 3ms");
     bs.wait_for_stderr("replaying the run up to TTI");
     let finished = bs.finish();
     assert!(finished.is_success(), "{finished}");
@@ -106,7 +109,8 @@ fn a_killed_base_station_resumes_with_its_live_hosts() {
         let finished = host.finish();
         assert!(finished.is_success(), "{finished}");
     }
-    let second_resume = folder.run(&format!("bs --resume out {bs_options}"));
+    assert!(!folder.list("out").contains(&"address.json".to_owned()));
+    let second_resume = folder.run("bs --resume out");
     assert!(
         second_resume.code() == Some(1) && second_resume.stderr.contains("has finished"),
         "{second_resume}"

@@ -10,6 +10,7 @@ use super::declaration::Declaration;
 use super::error::ScenarioError;
 use super::origins::{LayerOrigin, ValueOrigin};
 use super::overrides::Override;
+use super::toml_error::explain_syntax;
 
 /// Maximum length of the text of a configuration, in bytes. `scenario/load.rs` and sweeps limit their reading to it.
 pub const MAX_TEXT_BYTES: u64 = 1 << 20;
@@ -44,10 +45,7 @@ impl<'a> Layer<'a> {
             }),
             Err(error) => {
                 let offset = error.span().map_or(0, |span| span.start);
-                // A bare word that begins like `true` or `false` has this message.
-                let is_bare_word = error.message().starts_with("invalid boolean");
-                let hint = if is_bare_word { "; put text in quotes" } else { "" };
-                Err(syntax_error(&origin, offset, format!("{}{hint}", error.message())))
+                Err(syntax_error(&origin, offset, explain_syntax(error.message())))
             }
         }
     }

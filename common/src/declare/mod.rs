@@ -26,6 +26,7 @@ mod overrides;
 mod reader;
 mod reference;
 mod schema;
+mod toml_error;
 mod toml_page;
 mod value;
 
@@ -50,6 +51,7 @@ pub use overrides::Override;
 pub use reader::{FieldReader, FileContext, Settings};
 pub use reference::reference_page;
 pub use schema::json_schema;
+pub use toml_error::{TomlError, parse_toml};
 pub use toml_page::TomlPage;
 pub use value::{FieldRepr, FieldValue};
 

@@ -15,6 +15,7 @@ use super::field::FieldType;
 use super::join_path;
 use super::layer::{Layer, origin_offset};
 use super::origins::ValueOrigin;
+use super::toml_error::whole_number_hint;
 
 /// The end of each warning about a former name.
 pub const FORMER_NAME_NOTICE: &str = "the former name will be removed in a later version";
@@ -256,7 +257,15 @@ fn check_type(
                 value,
                 format!("must be {}", field_type.describe_range()),
             )),
-            whole => require(whole.is_some_and(|whole| whole >= 0)),
+            Some(whole) => require(whole >= 0),
+            None => {
+                let hint = value
+                    .get_ref()
+                    .as_float()
+                    .map(|number| whole_number_hint(number.as_str()));
+                let allowed = format!("must be {}{}", field_type.describe_type(), hint.unwrap_or_default());
+                Err(TypeMismatch::new(value, allowed))
+            }
         },
         FieldType::Number(_) | FieldType::Energy { .. } => require(to_float(value.get_ref()).is_some()),
         FieldType::Switch => require(value.get_ref().is_bool()),

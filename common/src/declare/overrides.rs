@@ -8,6 +8,7 @@ use toml::Spanned;
 use toml::de::DeValue;
 
 use super::error::ScenarioError;
+use super::toml_error::explain_syntax;
 
 /// Maximum number of names in the path of a field, with the name of the field. No field has as many.
 const MAX_PATH_NAMES: usize = 8;
@@ -70,7 +71,7 @@ impl Override {
             // A value that begins like a TOML string, list or table is a broken one; any other is a bare word.
             Err(error) if self.value.starts_with(['"', '\'', '[', '{']) => {
                 let text = format!("{}={}", self.path.join("."), self.value);
-                let reason = format!("the value is not valid TOML: {}", error.message());
+                let reason = format!("the value is not valid TOML: {}", explain_syntax(error.message()));
                 Err(malformed(&self.label, &text, reason))
             }
             Err(_) => Ok(Spanned::new(

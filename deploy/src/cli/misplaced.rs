@@ -237,7 +237,7 @@ mod tests {
                 "reveille bs -P 3",
                 "tip: `-P` (`--processes`) is an option of `up`; `bs` waits for processes that `reveille device` \
                  starts\n",
-                "Usage: reveille bs [OPTIONS] --run <RUN>\n",
+                "Usage: reveille bs [OPTIONS]\n",
             ),
             (
                 "reveille up --input-log a",

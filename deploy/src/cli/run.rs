@@ -324,12 +324,13 @@ pub(crate) struct UpArgs {
     /// process per device [default: 4, or N if that is less].
     #[arg(long, short = 'P', value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub processes: Option<u32>,
-    /// Run name on the bus [default: the name of the run folder].
+    /// Run name on the bus [default: the name of the run folder; with --resume, the name before].
     #[arg(long)]
     pub run: Option<RunName>,
-    /// Endpoint at which the base station listens; port 0 selects a free port.
-    #[arg(long, default_value = "tcp/127.0.0.1:0")]
-    pub listen: String,
+    /// Endpoint at which the base station listens; port 0 selects a free port [default: tcp/127.0.0.1:0; with --resume,
+    /// the endpoint before, if it is free].
+    #[arg(long)]
+    pub listen: Option<String>,
     /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
     pub untuned: bool,
@@ -350,12 +351,13 @@ pub(crate) struct BsArgs {
     /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Run name on the bus; device processes must give the same name.
+    /// Run name on the bus; device processes must give the same name [default with --resume: the name before].
+    #[arg(long, required_unless_present = "resume")]
+    pub run: Option<RunName>,
+    /// Endpoint at which the base station listens: tcp/ADDRESS:PORT, or tls/ADDRESS:PORT with --tls [default:
+    /// tcp/127.0.0.1:7447; with --resume, the endpoint before].
     #[arg(long)]
-    pub run: RunName,
-    /// Endpoint at which the base station listens: tcp/ADDRESS:PORT, or tls/ADDRESS:PORT with --tls.
-    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
-    pub listen: String,
+    pub listen: Option<String>,
     /// End with an error unless all devices have joined within this time [default: no limit].
     #[arg(long, value_parser = parse_duration)]
     pub join_timeout: Option<Duration>,

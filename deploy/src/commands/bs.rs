@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{anyhow, bail, ensure};
+use anyhow::{Context as _, anyhow, bail, ensure};
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::Observer;
 use reveille_bs::scenario::Scenario;
@@ -38,12 +38,15 @@ use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::policy_process::PolicyProcess;
 use crate::policy_source::{PolicySource, select_policy_source};
 use crate::resume_mark::ResumeMarkWriter;
-use crate::run_folder::RunFolder;
+use crate::run_address::RunAddress;
+use crate::run_folder::{RunFolder, run_name};
 use crate::run_watchers::RunWatchers;
 use crate::signals::{SignalMode, Signals, run_on_thread};
 use crate::summary::{Summary, Timing};
 use crate::{file_limits, key, recording, run_registry, tls};
 
+/// Default address, which `cli/run.rs` repeats.
+const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
 /// Time between two checks for the cause of an end.
 const CAUSE_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Most checks for the cause of an end.
@@ -64,13 +67,20 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
+    let earlier = RunAddress::of_resumed(args.output.resume.as_deref());
+    let run = match (earlier.run(args.run.as_ref()), &args.output.resume) {
+        (Some(run), _) => run,
+        (None, folder) => run_name(folder.as_deref().context("--run: the name of the run is missing")?).parse()?,
+    };
+    let listen = earlier.bs_listen(args.listen.as_deref(), DEFAULT_LISTEN);
     let endpoint = Endpoint {
-        address: &args.listen,
+        address: listen,
         tls: tls_files.as_ref(),
     };
-    let bus = Bus::listen(endpoint, args.run.clone()).await?;
+    let bus = Bus::listen(endpoint, run.clone()).await?;
     // The folder comes last: --force empties it, and an endpoint in use must not cost the old run.
     let folder = RunFolder::create(&args.output, &scenario)?;
+    earlier.write(folder.path(), Some(&run), (listen, bus.endpoint()))?;
     let window = window_length(&args.output, &scenario);
     let key = match &args.key_file {
         Some(path) => key::read_or_create(path)?,
@@ -88,7 +98,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             "waiting for {}: reveille device --connect {} --run {}{}",
             count_noun(scenario.run.devices, "device"),
             run_registry::reachable_endpoint(bus.endpoint()),
-            args.run,
+            run,
             if args.tls.is_some() { " --tls FOLDER" } else { "" }
         );
     }
@@ -96,7 +106,8 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     serve_run(
         &RunService {
             bus: &bus,
-            run: &args.run,
+            command: "bs",
+            run: &run,
             tls: args.tls.as_deref(),
             scenario: &scenario,
             settings,
@@ -120,6 +131,8 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
 pub(crate) struct RunService<'a> {
     /// The bus session.
     pub bus: &'a Bus,
+    /// The subcommand that serves the run: `bs` or `up`.
+    pub command: &'static str,
     /// The run's name.
     pub run: &'a RunName,
     /// The folder of certificates, if the bus is encrypted.
@@ -472,7 +485,13 @@ async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::R
         progress,
         ..
     } = service;
-    let registration = run_registry::register(run, bus.endpoint(), service.settings.run_key, service.tls, folder);
+    let registration = run_registry::register(
+        run,
+        bus.endpoint(),
+        service.settings.run_key,
+        (service.command, service.tls),
+        folder,
+    );
     if let Err(error) = &registration {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` cannot find this run; give them --run {run} and --connect {}, or set \

@@ -4,8 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reveille_bs::policy::outside;
+use reveille_common::declare::parse_toml;
 use reveille_lab::sweep::{Experiment, ExperimentBuilder};
 use toml::Value;
 
@@ -110,11 +111,12 @@ fn parse_value(text: &str) -> Value {
 
 /// Parses a TOML list.
 fn parse_value_list(text: &str) -> anyhow::Result<Vec<Value>> {
-    let table: toml::Table = toml::from_str(&format!("list = {text}"))
-        .context("the values of the field are not a TOML list, such as [0.05, 0.1]")?;
+    const CAUSE: &str = "the values of the field are not a TOML list, such as [0.05, 0.1]";
+    let table: toml::Table =
+        parse_toml(&format!("list = {text}")).map_err(|error| anyhow!("{CAUSE}: {}", error.reason))?;
     match table.into_iter().next() {
         Some((_, Value::Array(values))) => Ok(values),
-        Some(_) | None => bail!("the values of the field are not a TOML list, such as [0.05, 0.1]"),
+        Some(_) | None => bail!("{CAUSE}"),
     }
 }
 

@@ -84,7 +84,7 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
             }
             // Reported without a return, so that the other sources are checked too.
             Err(error) => {
-                note!("{source}: {error}");
+                note!("{}", name_source(source, &error.to_string()));
                 code = crate::exit::ExitReason::Failed.into();
             }
         }
@@ -95,7 +95,22 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
 /// Prints the warnings about the scenario `source` on standard error.
 fn print_warnings(source: &str, warnings: &[String]) {
     for warning in warnings {
-        note!("{source}: warning: {warning}");
+        note!("{}", name_source(source, &format!("warning: {warning}")));
+    }
+}
+
+/// Returns `message` with the scenario `source` in front, unless the message names the source.
+fn name_source(source: &str, message: &str) -> String {
+    let starts = [
+        format!("{source}, line "),
+        format!("{source}: "),
+        format!("no scenario `{source}`"),
+    ];
+    let is_named = starts.iter().any(|start| message.starts_with(start));
+    if is_named || message.contains(&format!("set in {source}, line ")) {
+        message.to_owned()
+    } else {
+        format!("{source}: {message}")
     }
 }
 

@@ -20,6 +20,7 @@ use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
 use crate::policy_source::select_policy_source;
+use crate::run_address::RunAddress;
 use crate::run_folder::RunFolder;
 use crate::signals::{SignalMode, Signals};
 use crate::summary::Timing;
@@ -27,6 +28,8 @@ use crate::supervisor::{Supervisor, SupervisorConfig};
 
 /// Default number of device processes.
 const DEFAULT_PROCESSES: u32 = 4;
+/// Default address, which `cli/run.rs` repeats.
+const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:0";
 /// Time for all device processes to join; `scaled_timeout` extends it for many.
 const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 
@@ -48,11 +51,13 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
+    let earlier = RunAddress::of_resumed(args.output.resume.as_deref());
+    let listen = earlier.up_listen(args.listen.as_deref(), DEFAULT_LISTEN);
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
-    bus::resolve_listen_endpoint(&args.listen)?;
+    bus::resolve_listen_endpoint(listen)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match listen(args, processes, &folder).await {
+    match open_bus(args, (&earlier, listen), processes, &folder).await {
         Ok((bus, run)) => {
             let service = RunService {
                 settings: ServerConfig {
@@ -62,6 +67,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
                     ..server_settings(&args.drive, &args.output, window_length(&args.output, &scenario))
                 },
                 bus: &bus,
+                command: "up",
                 run: &run,
                 tls: None,
                 scenario: &scenario,
@@ -84,13 +90,19 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     }
 }
 
-/// Opens the bus, under the name `--run` or the name of `folder`.
-async fn listen(args: &UpArgs, processes: u32, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
-    let run = match &args.run {
-        Some(run) => run.clone(),
+/// Opens the bus at the address `listen`, under the name `--run`, the name of the resumed run, or the name of `folder`.
+async fn open_bus(
+    args: &UpArgs,
+    (earlier, listen): (&RunAddress, &str),
+    processes: u32,
+    folder: &RunFolder,
+) -> anyhow::Result<(Bus, RunName)> {
+    let run = match earlier.run(args.run.as_ref()) {
+        Some(run) => run,
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let bus = Bus::listen_for_hosts(processes, &args.listen, run.clone()).await?;
+    let bus = Bus::listen_for_hosts(processes, listen, run.clone()).await?;
+    earlier.write(folder.path(), args.run.as_ref(), (listen, bus.endpoint()))?;
     Ok((bus, run))
 }
 

@@ -160,7 +160,11 @@ fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
     // Compared in constant time, so that the response time reveals nothing about the token.
     let has_token =
         header_text(TOKEN_HEADER).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
-    let why = || "the token is missing; open the address that the program printed".to_owned();
+    let why = || {
+        "the token is missing; open the address that the program printed, or send its part after `#` in the header \
+         x-reveille-token"
+            .to_owned()
+    };
     (!needs_no_token && !has_token).then(|| ApiError(StatusCode::UNAUTHORIZED, why()))
 }
 

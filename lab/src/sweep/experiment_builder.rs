@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use reveille_bs::scenario::{current_field, declaration};
-use reveille_common::declare::former_name_warning;
+use reveille_common::declare::{former_name_warning, parse_toml};
 use reveille_common::score::Metrics;
 use serde::Deserialize;
 use toml::{Table, Value};
@@ -45,13 +45,8 @@ enum RawSeeds {
     Range { first: u64, count: u64 },
 }
 
-/// Returns a hint on serde's `message` about the file `name`, if it names an unknown field that is a field of
-/// scenarios.
-fn scenario_field_hint(message: &str, name: &str) -> String {
-    let unknown = message.strip_prefix("unknown field `");
-    let Some((field, _)) = unknown.and_then(|rest| rest.split_once('`')) else {
-        return String::new();
-    };
+/// Returns a hint about the unknown `field` in the file `name`, if it is a field of scenarios.
+fn scenario_field_hint(field: &str, name: &str) -> String {
     let is_scenario_field = |path: String| path.split('.').next() == Some(field);
     if declaration().field_paths().any(is_scenario_field) {
         format!(
@@ -99,12 +94,13 @@ impl ExperimentBuilder {
     /// # Errors
     /// If the text is not TOML, or has unknown fields or values of wrong types; the message names file and line.
     pub fn parse(text: &str, name: &str, base_dir: &Path) -> Result<Self, SweepError> {
-        let raw: ExperimentFile = toml::from_str(text).map_err(|error| {
-            let error_offset = error.span().map_or(0, |span| span.start.min(text.len()));
+        let raw: ExperimentFile = parse_toml(text).map_err(|error| {
+            let hint = error.unknown_field.as_deref();
+            let hint = hint.map_or_else(String::new, |field| scenario_field_hint(field, name));
             SweepError::Syntax {
                 name: name.to_owned(),
-                line: text.get(..error_offset).unwrap_or(text).matches('\n').count() + 1,
-                reason: format!("{}{}", error.message(), scenario_field_hint(error.message(), name)),
+                line: error.line,
+                reason: error.reason + &hint,
             }
         })?;
         let mut builder = Self {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use reveille_bs::scenario::Scenario;
-use reveille_common::declare::describe_read_error;
+use reveille_common::declare::{TomlError, describe_read_error, parse_toml};
 use reveille_common::keys::RunName;
 use serde::Deserialize;
 
@@ -138,8 +138,8 @@ impl TestbedConfig {
             let hint = "name the folder of a testbed, which `reveille testbed init` writes";
             anyhow!("{}: {}", path.display(), describe_read_error(&error, hint))
         })?;
-        let invalid = |error| anyhow!("{}: {}", path.display(), explain_toml_error(&error));
-        let mut config: Self = toml::from_str(&text).map_err(invalid)?;
+        let invalid = |error| anyhow!("{}, {error}", path.display());
+        let mut config: Self = parse_toml(&text).map_err(invalid)?;
         config.fault_lines = find_fault_lines(&text).map_err(invalid)?;
         let is_valid = config.name.parse::<RunName>().is_ok() && project_name(&config.name) == config.name;
         ensure!(
@@ -290,30 +290,15 @@ impl ClassConfig {
 }
 
 /// Returns the number of the line of each fault in the text of a description.
-fn find_fault_lines(text: &str) -> Result<Vec<usize>, toml::de::Error> {
+fn find_fault_lines(text: &str) -> Result<Vec<usize>, TomlError> {
     #[derive(Deserialize)]
     struct Schedule {
         #[serde(default)]
         faults: Vec<toml::Spanned<String>>,
     }
-    let Schedule { faults } = toml::from_str(text)?;
+    let Schedule { faults } = parse_toml(text)?;
     let line = |fault: &toml::Spanned<String>| text[..fault.span().start].matches('\n').count() + 1;
     Ok(faults.iter().map(line).collect())
-}
-
-/// Formats an error of TOML, with words for the types of Rust.
-fn explain_toml_error(error: &toml::de::Error) -> String {
-    let words = [
-        ("usize", "a whole number from 1"),
-        ("f64", "a number"),
-        ("a boolean", "true or false"),
-        ("a string", "text in quotes"),
-        ("a sequence", "a list"),
-    ];
-    let text = words.iter().fold(error.to_string(), |text, (of_rust, word)| {
-        text.replace(&format!("expected {of_rust}"), &format!("expected {word}"))
-    });
-    text.trim_end().to_owned()
 }
 
 /// Returns the value of each class in the items of an option: VALUE for all classes, CLASS=VALUE for one.

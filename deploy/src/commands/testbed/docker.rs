@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 
 use super::compose::{COMPOSE_FILE, NETWORK};
+use super::container::Container;
 use super::faults::Fault;
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
@@ -21,7 +22,7 @@ pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(200);
 /// Longest wait until the engine has started a container again before a fault.
 const RESTART_PATIENCE: Duration = Duration::from_secs(10);
 /// Processor cores of a slow container.
-const SLOW_CPUS: &str = "0.05";
+const SLOW_CPUS: f64 = 0.05;
 
 /// A compose project.
 pub(super) struct Project {
@@ -37,47 +38,6 @@ impl Project {
             folder: testbed.folder.clone(),
             name: testbed.config.name.clone(),
         }
-    }
-}
-
-/// A container of a project.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Container {
-    pub id: String,
-    pub service: String,
-    /// Its state and for how long, such as `Up 5 seconds (healthy)`.
-    pub status: String,
-    /// Whether it is on a network.
-    pub is_connected: bool,
-}
-
-impl Container {
-    /// Its state, for users.
-    pub(super) fn state(&self) -> String {
-        let cut_off = self.status.starts_with("Up") && !self.is_connected;
-        format!("{}{}", self.status, if cut_off { ", disconnected" } else { "" })
-    }
-
-    /// Checks that it can be disturbed.
-    fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
-        let Self { service, status, .. } = self;
-        ensure!(
-            status.starts_with("Up"),
-            "{fault}: {service} does not run ({status}); only running containers can be disturbed"
-        );
-        let needs_processes = matches!(fault.kind, FaultKind::Kill | FaultKind::Pause | FaultKind::Stop);
-        ensure!(
-            !needs_processes || !status.contains("(Paused)"),
-            "{fault}: {service} is paused; end that with `restore` first"
-        );
-        Ok(())
-    }
-
-    /// The exit code of its last process; `None` while one runs.
-    pub(super) fn exit_code(&self) -> Option<u8> {
-        let (state, rest) = self.status.split_once(" (")?;
-        let (code, _) = rest.split_once(')')?;
-        ["Exited", "Restarting"].contains(&state).then(|| code.parse().ok())?
     }
 }
 
@@ -336,16 +296,17 @@ impl Docker {
     }
 
     /// The ids of the containers that a fault slows down.
-    pub(super) fn slow_containers(&self, containers: &[Container]) -> anyhow::Result<Vec<String>> {
+    pub(super) fn slow_containers(&self, testbed: &Testbed, containers: &[Container]) -> anyhow::Result<Vec<String>> {
         if containers.is_empty() {
             return Ok(Vec::new());
         }
         let ids = containers.iter().map(|container| container.id.as_str());
-        let command = ["inspect", "--format", "{{.Id}} {{.HostConfig.NanoCpus}}"];
+        let command = ["inspect", "--format", "{{.HostConfig.NanoCpus}}"];
+        // A line for each container, in the order of the arguments.
         let list = self.run(&command.into_iter().chain(ids).collect::<Vec<_>>())?;
-        let slow_lines = list.lines().filter_map(|line| line.split_once(' '));
-        let slow_ids = slow_lines.filter(|(_, nano_cpus)| is_slow(nano_cpus));
-        Ok(slow_ids.map(|(id, _)| id.to_owned()).collect())
+        let limits = containers.iter().zip(list.lines());
+        let slow = limits.filter(|(container, limit)| is_slow(limit, testbed.declared_cpus(&container.service)));
+        Ok(slow.map(|(container, _)| container.id.clone()).collect())
     }
 
     /// The address on this machine of a port of a container, while it runs.
@@ -393,7 +354,10 @@ impl Docker {
             FaultKind::Kill => return self.kill_processes(&container),
             FaultKind::Pause => self.run(&["pause", id]),
             FaultKind::Disconnect => self.run(&["network", "disconnect", "--force", &network, id]),
-            FaultKind::Slow => self.run(&["update", "--cpus", SLOW_CPUS, id]),
+            FaultKind::Slow => {
+                let cpus = slow_cpus(testbed.declared_cpus(&container.service));
+                self.run(&["update", "--cpus", &cpus.to_string(), id])
+            }
             FaultKind::Stop => self.run(&["stop", id]),
             FaultKind::Restore => {
                 // Only a fault ends a container while the base station runs.
@@ -465,9 +429,8 @@ impl Docker {
         if status == "exited" {
             self.run(&["start", id])?;
         }
-        let own = testbed.containers.iter().find(|own| own.service == container.service);
-        let cpus = own.and_then(|own| testbed.config.classes[own.class].cpus);
-        if is_slow(nano_cpus) {
+        let cpus = testbed.declared_cpus(&container.service);
+        if is_slow(nano_cpus, cpus) {
             // The engine cannot remove a limit; all cores have the same effect.
             let cpus = cpus.map_or_else(
                 || self.run(&["info", "--format", "{{.NCPU}}"]),
@@ -479,10 +442,15 @@ impl Docker {
     }
 }
 
-/// Whether a limit of processor cores, in billionths, is the one of slow containers.
-fn is_slow(nano_cpus: &str) -> bool {
-    let slow_nano_cpus = SLOW_CPUS.parse().map(|cpus: f64| format!("{:.0}", cpus * 1e9));
-    slow_nano_cpus.is_ok_and(|slow| slow == nano_cpus)
+/// The limit of processor cores under the fault `slow`, which never raises the `declared` limit.
+fn slow_cpus(declared: Option<f64>) -> f64 {
+    declared.map_or(SLOW_CPUS, |cpus| cpus.min(SLOW_CPUS))
+}
+
+/// Whether a limit of processor cores, in billionths, is the one of the fault `slow`, and not the `declared` limit.
+fn is_slow(nano_cpus: &str, declared: Option<f64>) -> bool {
+    let is_limit = |cpus: f64| format!("{:.0}", cpus * 1e9) == nano_cpus;
+    is_limit(slow_cpus(declared)) && !declared.is_some_and(is_limit)
 }
 
 /// Runs `reveille clock ARGS` in the container of the base station, with this program's terminal.
@@ -511,21 +479,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_status_has_the_exit_code_of_an_ended_process() {
-        for (status, exit_code) in [
-            ("Up 5 seconds (healthy)", None),
-            ("Up 2 minutes (Paused)", None),
-            ("Exited (0) 3 seconds ago", Some(0)),
-            ("Restarting (137) Less than a second ago", Some(137)),
-            ("Created", None),
+    fn a_container_at_its_declared_limit_is_not_slow() {
+        for (nano_cpus, declared, is_expected) in [
+            ("0", None, false),
+            ("50000000", None, true),
+            ("50000000", Some(0.5), true),
+            ("500000000", Some(0.5), false),
+            ("50000000", Some(0.05), false),
+            ("10000000", Some(0.01), false),
         ] {
-            let container = Container {
-                id: String::new(),
-                service: String::new(),
-                status: status.to_owned(),
-                is_connected: true,
-            };
-            assert_eq!(container.exit_code(), exit_code, "{status}");
+            assert_eq!(is_slow(nano_cpus, declared), is_expected, "{nano_cpus} {declared:?}");
         }
+        assert_eq!([None, Some(0.5), Some(0.01)].map(slow_cpus), [0.05, 0.05, 0.01]);
     }
 }

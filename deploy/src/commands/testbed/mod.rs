@@ -5,6 +5,7 @@
 
 mod compose;
 mod config;
+mod container;
 mod docker;
 mod faults;
 mod model;
@@ -24,11 +25,13 @@ use anyhow::{Context, ensure};
 
 use self::compose::write_compose;
 use self::config::{CONFIG_FILE, TestbedConfig};
-use self::docker::{Container, Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
+use self::container::Container;
+use self::docker::{Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
 use self::placement::{BS_SERVICE, DASHBOARD_SERVICE};
 use self::results::copy_results;
+use self::up::lock_folder;
 use super::resolve_scenario::resolve_with_builtin_policy;
 use crate::cli::{TestbedArgs, TestbedCommand, TestbedInitArgs};
 use crate::display::{count_noun, note, print_stdout, shell_word};
@@ -36,6 +39,7 @@ use crate::exit::ExitReason;
 use crate::run_folder::SCENARIO_FILE;
 use crate::scenario_files::ScenarioFiles;
 use crate::signals::{SignalMode, Signals};
+use crate::terminal::shows_colours;
 
 /// Executes a subcommand.
 pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
@@ -47,6 +51,9 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
                 Ok(_) => find_project(&folder.path)?,
                 Err(error) => find_started(&folder.path, error)?,
             };
+            let again = shell_word(&folder.path);
+            let fix = format!("end it with Ctrl-C, then repeat `reveille testbed down {again}`");
+            let _lock = lock_folder(&folder.path, &fix)?;
             docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
             note!(
                 "removed the containers, the network and the volumes of {}",
@@ -63,13 +70,16 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
             if let Some(service) = container {
                 docker.container(&project, service)?;
             }
-            let options = follow.then_some("--follow").into_iter().chain(container.as_deref());
-            let command = [&["logs"][..], &options.collect::<Vec<_>>()].concat();
-            return docker.compose_in_foreground(&project, &command);
+            let colours = (!shows_colours()).then_some("--no-color");
+            let options = colours.into_iter().chain(follow.then_some("--follow"));
+            let words = ["logs"].into_iter().chain(options).chain(container.as_deref());
+            return docker.compose_in_foreground(&project, &words.collect::<Vec<_>>());
         }
         TestbedCommand::Clock { folder, args } => {
             let (docker, project) = find_project(folder)?;
-            return clock_in_foreground(&docker.container(&project, BS_SERVICE)?, args);
+            let bs = docker.container(&project, BS_SERVICE)?;
+            bs.check_answers(folder)?;
+            return clock_in_foreground(&bs, args);
         }
         TestbedCommand::Results(folder) => {
             let testbed = Testbed::load(&folder.path)?;
@@ -188,14 +198,17 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
             clock.unwrap_or_else(|_| "the base station does not answer".to_owned())
         }
     };
-    let (memory, slow) = (docker.memory(&containers)?, docker.slow_containers(&containers)?);
+    let (memory, slow) = (
+        docker.memory(&containers)?,
+        docker.slow_containers(testbed, &containers)?,
+    );
     let services = testbed.services();
     let mut text = format!("{}: {}\n", testbed.config.name, shorten_clock(&clock, &services));
     let width = services.iter().map(String::len).max().unwrap_or_default();
     for service in services {
         let container = containers.iter().find(|container| container.service == service);
         let mut state = container.map_or_else(|| "not created".to_owned(), Container::state);
-        if container.is_some_and(|container| slow.iter().any(|id| id.starts_with(&container.id))) {
+        if container.is_some_and(|container| slow.contains(&container.id)) {
             state.push_str(", slow");
         }
         let memory = container.and_then(|container| memory.get(&container.id));

@@ -99,6 +99,12 @@ impl Testbed {
         testbed.with_schedule(&path)
     }
 
+    /// The declared limit of processor cores of a container; `None` without one.
+    pub(super) fn declared_cpus(&self, service: &str) -> Option<f64> {
+        let own = self.containers.iter().find(|own| own.service == service)?;
+        self.config.classes[own.class].cpus
+    }
+
     /// The names of all containers that last as long as the run: the base station, the dashboard, and the link and the
     /// containers of each class.
     pub(super) fn services(&self) -> Vec<String> {

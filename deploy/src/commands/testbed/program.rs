@@ -52,6 +52,10 @@ pub(super) fn explain_failure(command: &str, stderr: &str) -> anyhow::Error {
         "; no engine answers: start it, such as with `systemctl start docker`"
     } else if lower.contains("is not connected to") {
         "; the container is disconnected already: end that with `restore`"
+    } else if lower.contains("no such container") || lower.contains("no such object") {
+        "; the container was removed during the command: start the testbed again with `reveille testbed up`"
+    } else if lower.contains("is not running") {
+        "; the container has ended: `reveille testbed status` shows its state"
     } else {
         ""
     };
@@ -72,6 +76,15 @@ mod tests {
             (
                 "Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is the docker daemon running?",
                 "systemctl start docker",
+            ),
+            ("Error: No such object: 0f3a", "the container was removed"),
+            (
+                "Error response from daemon: No such container: bs",
+                "the container was removed",
+            ),
+            (
+                "Error response from daemon: Container 0f3a is not running",
+                "the container has ended",
             ),
             ("no such file", "docker ps: no such file"),
         ] {

@@ -12,7 +12,8 @@ use anyhow::{Context, bail, ensure};
 use indicatif::ProgressBar;
 
 use super::compose::{RESULTS_FOLDER, write_compose};
-use super::docker::{Container, Docker, POLL_INTERVAL, Project, shorten_clock};
+use super::container::Container;
+use super::docker::{Docker, POLL_INTERVAL, Project, shorten_clock};
 use super::faults::{Fault, ScheduledFault};
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
@@ -38,7 +39,8 @@ pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
         "--detach: only a running `testbed up` can apply the schedule; leave out --detach, or remove the faults from \
          testbed.toml"
     );
-    let _lock = lock_folder(&testbed.folder)?;
+    let status = format!("`reveille testbed status {}` shows it", shell_word(&testbed.folder));
+    let _lock = lock_folder(&testbed.folder, &status)?;
     let docker = Docker::find()?;
     let project = Project::of(&testbed);
     docker.check_image(&testbed.config.image)?;
@@ -88,15 +90,14 @@ pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
 /// Locks the folder of a testbed until the returned file is closed, also by the death of this process.
 ///
 /// # Errors
-/// If another `testbed up` has locked it.
-fn lock_folder(folder: &Path) -> anyhow::Result<File> {
+/// If another `testbed up` or `testbed down` has locked it. The error ends with `fix`.
+pub(super) fn lock_folder(folder: &Path, fix: &str) -> anyhow::Result<File> {
     let file = File::open(folder).with_context(|| folder.display().to_string())?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => bail!(
-            "{}: another `reveille testbed up` runs this testbed; `reveille testbed status {}` shows it",
-            folder.display(),
-            shell_word(folder)
+            "{}: another `reveille testbed up` or `down` has locked this testbed; {fix}",
+            folder.display()
         ),
         Err(TryLockError::Error(error)) => Err(error).with_context(|| folder.display().to_string()),
     }
@@ -357,11 +358,12 @@ mod tests {
     fn only_one_program_runs_a_testbed() {
         let folder = std::env::temp_dir().join(format!("reveille-lock-{}", std::process::id()));
         std::fs::create_dir(&folder).expect("writable");
-        let lock = lock_folder(&folder).expect("free");
-        let refusal = lock_folder(&folder).expect_err("locked").to_string();
-        assert!(refusal.contains("another `reveille testbed up`"), "{refusal}");
+        let lock = lock_folder(&folder, "").expect("free");
+        let refusal = lock_folder(&folder, "end it").expect_err("locked").to_string();
+        let expected = "another `reveille testbed up` or `down` has locked this testbed; end it";
+        assert!(refusal.ends_with(expected), "{refusal}");
         drop(lock);
-        lock_folder(&folder).expect("free again");
+        lock_folder(&folder, "").expect("free again");
         std::fs::remove_dir(&folder).expect("ours");
     }
 }

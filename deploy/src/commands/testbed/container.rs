@@ -1,0 +1,138 @@
+//! A container of a testbed, with its state for users and the actions that this state allows.
+
+use std::path::Path;
+
+use anyhow::{bail, ensure};
+
+use super::faults::Fault;
+use crate::cli::FaultKind;
+use crate::display::shell_word;
+
+/// A container of a project.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Container {
+    pub id: String,
+    pub service: String,
+    /// Its state and for how long, such as `Up 5 seconds (healthy)`.
+    pub status: String,
+    /// Whether it is on a network.
+    pub is_connected: bool,
+}
+
+impl Container {
+    /// Its state, for users.
+    pub(super) fn state(&self) -> String {
+        let cut_off = self.status.starts_with("Up") && !self.is_connected;
+        format!("{}{}", self.status, if cut_off { ", disconnected" } else { "" })
+    }
+
+    /// Checks that it can be disturbed.
+    pub(super) fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
+        let Self { service, status, .. } = self;
+        ensure!(
+            status.starts_with("Up"),
+            "{fault}: {service} does not run ({status}); only running containers can be disturbed"
+        );
+        let needs_processes = matches!(fault.kind, FaultKind::Kill | FaultKind::Pause | FaultKind::Stop);
+        ensure!(
+            !needs_processes || !status.contains("(Paused)"),
+            "{fault}: {service} is paused; end that with `restore` first"
+        );
+        Ok(())
+    }
+
+    /// Checks that the base station in it can answer commands. `folder` is the folder of the testbed.
+    ///
+    /// # Errors
+    /// If it does not run; the error has the command to use instead.
+    pub(super) fn check_answers(&self, folder: &Path) -> anyhow::Result<()> {
+        let (Self { service, status, .. }, folder) = (self, shell_word(folder));
+        if status.contains("(Paused)") {
+            bail!(
+                "{service}: the container is paused; end that with `reveille testbed fault {folder} restore {service}`"
+            );
+        }
+        ensure!(
+            self.exit_code() != Some(0),
+            "{service}: the run is over; `reveille testbed results {folder}` copies its results"
+        );
+        ensure!(
+            !status.starts_with("Restarting"),
+            "{service}: the engine is starting the container again ({status}); repeat the command, or read \
+             `reveille testbed logs {folder} {service}`"
+        );
+        ensure!(
+            status.starts_with("Up"),
+            "{service}: the container does not run ({status}); continue the run with `reveille testbed up {folder}`"
+        );
+        Ok(())
+    }
+
+    /// The exit code of its last process; `None` while one runs.
+    pub(super) fn exit_code(&self) -> Option<u8> {
+        let (state, rest) = self.status.split_once(" (")?;
+        let (code, _) = rest.split_once(')')?;
+        ["Exited", "Restarting"].contains(&state).then(|| code.parse().ok())?
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::testbed::placement::BS_SERVICE;
+
+    #[test]
+    fn a_base_station_that_cannot_answer_is_reported_with_the_fix() {
+        for (status, error) in [
+            ("Up 5 seconds (healthy)", ""),
+            (
+                "Up 2 minutes (Paused)",
+                "bs: the container is paused; end that with `reveille testbed fault my restore bs`",
+            ),
+            (
+                "Exited (0) 3 seconds ago",
+                "bs: the run is over; `reveille testbed results my` copies its results",
+            ),
+            (
+                "Exited (130) 2 hours ago",
+                "bs: the container does not run (Exited (130) 2 hours ago); continue the run with \
+                 `reveille testbed up my`",
+            ),
+            (
+                "Created",
+                "bs: the container does not run (Created); continue the run with `reveille testbed up my`",
+            ),
+            (
+                "Restarting (1) 2 seconds ago",
+                "bs: the engine is starting the container again (Restarting (1) 2 seconds ago); repeat the command, or \
+                 read `reveille testbed logs my bs`",
+            ),
+        ] {
+            let answer = container(status).check_answers(Path::new("my"));
+            assert_eq!(answer.err().map(|error| error.to_string()).unwrap_or_default(), error);
+        }
+    }
+
+    #[test]
+    fn a_status_has_the_exit_code_of_an_ended_process() {
+        for (status, exit_code) in [
+            ("Up 5 seconds (healthy)", None),
+            ("Up 2 minutes (Paused)", None),
+            ("Exited (0) 3 seconds ago", Some(0)),
+            ("Restarting (137) Less than a second ago", Some(137)),
+            ("Created", None),
+        ] {
+            assert_eq!(container(status).exit_code(), exit_code, "{status}");
+        }
+    }
+
+    /// Returns the container of a base station with this status.
+    fn container(status: &str) -> Container {
+        Container {
+            id: String::new(),
+            service: BS_SERVICE.to_owned(),
+            status: status.to_owned(),
+            is_connected: true,
+        }
+    }
+}
