@@ -528,10 +528,27 @@ def check_curves(page):
     page.touch(*page.centre("#chart-battery canvas", 0.7))
     page.until(f"!{readout}.hidden")
     page.value("document.activeElement.blur()")
+    check_axes(page)
     histogram = "document.querySelector('#histogram .readout')"
     page.move(*page.centre("#histogram canvas", 0.9))
     page.until(f"!{histogram}.hidden && /units[^]*device/.test({histogram}.textContent)")
     page.move(2, 2)
+
+
+def check_axes(page):
+    """Ticks next to each other have different labels, and the highest value of a curve is in its chart."""
+    page.value(
+        "import('./chart.js').then(({ Chart }) => { document.querySelector('main').insertAdjacentHTML('beforebegin', '<div id=\"trial\" style=\"width: 400px; height: 260px\"></div>');"
+        " window.trial = new Chart(document.getElementById('trial'), { id: 'trial', title: 'Trial', unit: '1', series: [''], onChoose() {} });"
+        " window.painted.clear(); scrollTo(0, 0); trial.figure.style.height = '100%';"
+        " trial.show([{ name: 'trial', colour: '--ink', points: Array.from({ length: 40 }, (_, nth) => [1279100 + nth, [nth ? 20001 : 20400]]) }], 1279100, 1279140, null); })"
+    )
+    page.until("trial.ground?.hasValues && window.painted.has('20k')")
+    ttis = page.value("[...window.painted].filter((text) => /M$/.test(text))")
+    assert len(ttis) >= 4 and "1.27911M" in ttis, ttis
+    top, bottom = page.value("[20400, 20001].map((value) => trial.y(value))")
+    assert 8 < top < bottom, (top, bottom)
+    page.value("document.getElementById('trial').remove()")
 
 
 def check_timeline(page, stopped):

@@ -1,6 +1,6 @@
 // The histogram of the batteries in the shown TTI.
 
-import { shortNumber, ticks } from "./axis.js";
+import { shortNumber, tickText, ticks } from "./axis.js";
 import { addExport } from "./export.js";
 import { element, page, plural } from "./page_state.js";
 import { STATES, STATE_OF_CODE, colourBox, nameOfCode, stateEntry } from "./states.js";
@@ -77,7 +77,7 @@ export class Histogram {
       draw.lineTo(width - MARGIN.right, Math.round(y(count)) + 0.5);
       draw.stroke();
       draw.fillStyle = ink("--faint");
-      draw.fillText(shortNumber(count), MARGIN.left - 6, y(count));
+      draw.fillText(tickText(count), MARGIN.left - 6, y(count));
     }
     for (let bin = 0; bin < BINS; bin += 1) {
       draw.globalAlpha = this.bin === null || this.bin === bin ? 1 : 0.45;
@@ -99,7 +99,7 @@ export class Histogram {
     draw.textBaseline = "top";
     for (const level of ticks(0, most, 5)) {
       draw.textAlign = level === most ? "right" : "center";
-      draw.fillText(shortNumber(level), level === most ? width - 4 : x((level / most) * BINS), bottom + 6);
+      draw.fillText(tickText(level), level === most ? width - 4 : x((level / most) * BINS), bottom + 6);
     }
     draw.textAlign = "left";
     draw.fillText("units", 4, bottom + 6);
