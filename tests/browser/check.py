@@ -372,6 +372,7 @@ def check_live(page, pictures):
     check_curves(page)
     check_timeline(page, stopped)
     check_misses(page)
+    check_resize(page)
     check_last_events(page)
     check_singulars(page)
     check_address(page)
@@ -614,6 +615,25 @@ def check_misses(page):
     page.until("document.getElementById('miss-note').textContent.startsWith('no missed event before')")
     page.push("#next-miss")
     page.until(f"reveille.moment.tti === {misses[1]}")
+
+
+def check_resize(page):
+    """The timeline shows the TTI of a missed event also in a narrower window."""
+    page.shape(844, 390, "light")
+    page.centre("#timeline")
+    page.until("reveille.timeline.window.width > 700")
+    page.push("#timeline-fit")
+    page.fill("#tti", page.value("reveille.now.next - 1"))
+    page.until("reveille.moment.tti === reveille.now.next - 1")
+    page.push("#previous-miss")
+    page.until("document.getElementById('miss-note').textContent.startsWith('missed event ')")
+    page.until("reveille.timeline.window.shows(reveille.tti)")
+    page.shape(390, 844, "light")
+    page.centre("#timeline")
+    page.until("reveille.timeline.window.width < 390")
+    place = page.value("[reveille.timeline.window.x(reveille.tti), reveille.timeline.window.width, reveille.tti]")
+    assert 84 <= place[0] < place[1], place
+    page.shape(1280, 900, "light")
 
 
 def check_last_events(page):
