@@ -374,6 +374,7 @@ def check_live(page, pictures):
     check_misses(page)
     check_resize(page)
     check_last_events(page)
+    check_histogram(page)
     check_singulars(page)
     check_address(page)
     check_messages(page)
@@ -656,6 +657,28 @@ def check_last_events(page):
     page.until(f"reveille.moment.tti === {miss['start'] - 1}")
     page.push("#next-miss")
     page.until(f"document.getElementById('miss-note').textContent.endsWith({json.dumps(miss['cause'])})")
+
+
+def check_histogram(page):
+    """The histogram counts the states that the map shows, in a TTI in which a woken device has reported."""
+    woken = page.value(
+        "(async () => { for (let tti = reveille.now.next - 1; tti >= 0; tti--) {"
+        " const moment = await fetch(`api/tti/${tti}`).then((answer) => answer.json());"
+        " if (moment.reported?.length && moment.woken?.some(({ outcome }) => outcome.Reported)) return tti; } })()"
+    )
+    assert woken, "no woken device has reported"
+    page.fill("#tti", woken)
+    page.until(f"reveille.moment.tti === {woken}")
+    page.centre("#histogram canvas")
+    shown = "[...document.querySelectorAll('#histogram .legend > span')].map((entry) => entry.textContent.trim()).sort()"
+    expected = (
+        "Promise.all([import('./map_symbols.js'), import('./states.js')]).then(([{ symbolsOf }, { STATES }]) => { const counts = {};"
+        " for (const symbol of symbolsOf(reveille.moment)) counts[symbol] = (counts[symbol] ?? 0) + 1;"
+        " return Object.entries(counts).map(([symbol, count]) => `${STATES[symbol].name} ${count}`).sort(); })"
+    )
+    states = page.value(expected)
+    assert any(text.startswith("S3 reports after a wake-up ") for text in states), states
+    page.until(f"JSON.stringify({shown}) === {json.dumps(json.dumps(states, separators=(',', ':')))}")
 
 
 def check_singulars(page):
