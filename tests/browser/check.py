@@ -259,6 +259,7 @@ def check_comparison(page, pictures):
     page.until("document.getElementById('refused').textContent === ''")
     # The browser's log holds the refused request and nothing else.
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
+    check_grid(page)
     check_shapes(page, pictures, "compare")
     print(f"two seeds: {difference.split(chr(10))[0][:60]}")
 
@@ -381,6 +382,7 @@ def check_live(page, pictures):
     check_exports(page)
     check_names(page)
     check_actions(page)
+    check_grid(page)
     check_shapes(page, pictures, "live")
     page.push("#follow")
     page.push("#pause")
@@ -782,6 +784,20 @@ def check_names(page):
         page.shape(1280, 900, scheme)
         low = {pair: share for pair, share in page.value(contrast).items() if share < 1}
         assert not low, (scheme, low)
+
+
+def check_grid(page):
+    """The charts leave no blank cell at any width."""
+    for width in (1280, 1440, 1920, 2560):
+        page.shape(width, 1000, "light")
+        time.sleep(0.3)
+        rows = page.value(
+            "(() => { const rows = {}, { right } = document.getElementById('charts').getBoundingClientRect();"
+            " for (const chart of document.querySelectorAll('#charts .chart:not([hidden])')) { const box = chart.getBoundingClientRect();"
+            "  rows[Math.round(box.top)] = Math.max(rows[Math.round(box.top)] ?? 0, box.right); }"
+            " return Object.values(rows).map((end) => right - end); })()"
+        )
+        assert all(blank < 2 for blank in rows), (width, rows)
 
 
 def check_shapes(page, pictures, name):
