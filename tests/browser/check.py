@@ -259,6 +259,7 @@ def check_comparison(page, pictures):
     page.until("document.getElementById('refused').textContent === ''")
     # The browser's log holds the refused request and nothing else.
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
+    check_exports(page, "Two runs", "Energy ledger")
     check_grid(page)
     check_shapes(page, pictures, "compare")
     print(f"two seeds: {difference.split(chr(10))[0][:60]}")
@@ -379,7 +380,7 @@ def check_live(page, pictures):
     check_singulars(page)
     check_address(page)
     check_messages(page)
-    check_exports(page)
+    check_exports(page, "Energy ledger", "Messages", "Timeline")
     check_names(page)
     check_actions(page)
     check_grid(page)
@@ -744,13 +745,18 @@ def check_messages(page):
     page.value("document.getElementById('detail').close()")
 
 
-def check_exports(page):
-    """Each panel on the page saves a picture and a table."""
+def check_exports(page, *titles):
+    """Each panel on the page saves a picture and a table, also the panels with these titles."""
+    page.fill("#device", 8)
+    page.until("document.getElementById('ledger').textContent.includes('unpowered')")
     page.value("window.saved = []; URL.createObjectURL = (blob) => { window.saved.push(blob); return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {};")
     # The warm-up hides four charts.
     exports = "[...document.querySelectorAll('.export')].filter((bar) => !bar.closest('[hidden]'))"
     panels = page.value(f"{exports}.length")
     assert panels >= 7, f"{panels} panels"
+    labels = page.value(f"{exports}.map((bar) => bar.querySelector('button').getAttribute('aria-label'))")
+    missing = {f"Save {title} as PNG" for title in titles} - set(labels)
+    assert not missing, (missing, labels)
     for nth in range(panels):
         page.value("window.saved.length = 0")
         page.value(f"{exports}[{nth}].querySelectorAll('button').forEach((button) => button.click())")
