@@ -413,6 +413,12 @@ def check_clock(page):
     page.until("document.getElementById('state').textContent === 'running'")
     page.until("/^wall clock 0:0/.test(document.getElementById('wall').textContent)")
     assert "/out" in page.text("#path"), page.text("#path")
+    page.push("#path")
+    links = "[...document.querySelectorAll('#file-list a')]"
+    page.until(f"document.getElementById('files').open && {links}.some((link) => link.download === 'scenario.toml')")
+    text = page.value(f"fetch({links}.find((link) => link.download === 'scenario.toml').href).then((answer) => answer.text())")
+    assert "[run]" in text, text
+    page.value("document.getElementById('files').close()")
     assert page.text("#counted") == "warm-up until TTI 1\u202f000\u202f000; nothing is counted yet", page.text("#counted")
     page.push("#pause")
     page.until("document.getElementById('state').textContent === 'paused'")
