@@ -637,12 +637,13 @@ def check_resize(page):
     page.until("reveille.moment.tti === reveille.now.next - 1")
     page.push("#previous-miss")
     page.until("document.getElementById('miss-note').textContent.startsWith('missed event ')")
-    page.until("reveille.timeline.window.shows(reveille.tti)")
+    place = "[reveille.timeline.window.x(reveille.tti), reveille.timeline.window.width]"
+    page.until(f"(([x, width]) => 84 <= x && x < width)({place})")
     page.shape(390, 844, "light")
     page.centre("#timeline")
     page.until("reveille.timeline.window.width < 390")
-    place = page.value("[reveille.timeline.window.x(reveille.tti), reveille.timeline.window.width, reveille.tti]")
-    assert 84 <= place[0] < place[1], place
+    x, width = page.value(place)
+    assert 84 <= x < width, (x, width)
     page.shape(1280, 900, "light")
 
 
@@ -755,6 +756,9 @@ def check_exports(page, *titles):
     """Each panel on the page saves a picture and a table, also the panels with these titles."""
     page.fill("#device", 8)
     page.until("document.getElementById('ledger').textContent.includes('unpowered')")
+    # A chart is painted once it is on the screen.
+    page.centre("#history canvas")
+    page.until("document.querySelector('#history canvas').width > 0 && document.querySelector('#history canvas').height > 0")
     page.value("window.saved = []; URL.createObjectURL = (blob) => { window.saved.push(blob); return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {};")
     # The warm-up hides four charts.
     exports = "[...document.querySelectorAll('.export')].filter((bar) => !bar.closest('[hidden]'))"

@@ -130,7 +130,7 @@ pub(super) async fn file(
             let mut chunk = vec![0; CHUNK];
             let length = file.read(&mut chunk)?;
             chunk.truncate(length);
-            Ok((length > 0).then_some((chunk, file)))
+            Ok::<_, io::Error>((length > 0).then_some((chunk, file)))
         });
         read.await.map_err(io::Error::other)?
     });

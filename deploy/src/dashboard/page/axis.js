@@ -12,6 +12,9 @@ export function ticks(low, high, count, isWhole = false) {
   return found;
 }
 
+// The values of a logarithmic axis that begins at 0.
+export const decades = (high) => [0, ...Array.from({ length: Math.floor(Math.log10(high)) + 1 }, (_, nth) => 10 ** nth)];
+
 // A number with at most this many significant digits, and thousands as k.
 export function shortNumber(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";

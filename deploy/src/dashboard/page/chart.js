@@ -1,6 +1,6 @@
 // One chart: lines over TTIs with axes, a legend, and a readout for mouse, touch and keyboard.
 
-import { shortNumber, tickText, ticks, ttiText } from "./axis.js";
+import { decades, shortNumber, tickText, ticks, ttiText } from "./axis.js";
 import { addExport } from "./export.js";
 import { element } from "./page_state.js";
 import { hiddenCanvas, ink, prepareCanvas } from "./theme.js";
@@ -10,9 +10,10 @@ const DASHES = [[], [7, 3], [2, 2.5]];
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
 
 export class Chart {
-  // `series` has a name for each line. `onChoose` receives the TTI of a click. `decorate` paints below the lines.
-  constructor(box, { id, title, unit, series, emptyText, onChoose, decorate }) {
-    Object.assign(this, { title, unit, series, emptyText, onChoose, decorate, runs: [], start: 0, end: 1, tti: null, pointer: null });
+  // `series` has a name for each line. `isLog` keeps usual values apart below a high peak, such as the first plan.
+  // `onChoose` receives the TTI of a click. `decorate` paints below the lines.
+  constructor(box, { id, title, unit, series, isLog, emptyText, onChoose, decorate }) {
+    Object.assign(this, { title, unit, series, isLog, emptyText, onChoose, decorate, runs: [], start: 0, end: 1, tti: null, pointer: null });
     this.legend = element("div", { className: "legend" });
     this.canvas = element("canvas", { tabIndex: 0 });
     this.canvas.setAttribute("role", "img");
@@ -93,12 +94,14 @@ export class Chart {
     const values = this.runs.flatMap(({ points }) => points.flatMap(([, all]) => all)).filter((value) => value !== null && value !== undefined);
     const hasValues = values.length > 0, bottom = height - MARGIN.bottom;
     const most = this.most ?? (1.06 * values.reduce((a, b) => Math.max(a, b), 0) || 1);
-    const y = (value) => bottom - (value / most) * (bottom - MARGIN.top);
+    const size = this.isLog ? Math.log1p : (value) => value;
+    const y = (value) => bottom - (size(value) / size(most)) * (bottom - MARGIN.top);
+    const marks = this.isLog && most >= 10 ? decades(most) : ticks(0, most, Math.max(2, Math.floor(height / 42)));
     draw.font = "11px system-ui, sans-serif";
     draw.lineWidth = 1;
     draw.textBaseline = "middle";
     draw.textAlign = "right";
-    for (const value of hasValues ? ticks(0, most, Math.max(2, Math.floor(height / 42))) : [0]) {
+    for (const value of hasValues ? marks : [0]) {
       draw.strokeStyle = ink("--line");
       draw.beginPath();
       draw.moveTo(MARGIN.left, Math.round(y(value)) + 0.5);
