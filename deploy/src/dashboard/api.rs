@@ -1,7 +1,7 @@
 //! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`, except those of `commands` and
 //! `files`. Every request passes [`check_request`] first. `page/*.js` uses the paths, query names, JSON keys and status
-//! codes; `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of the
-//! JSON.
+//! codes; `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of
+//! the JSON.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;

@@ -144,7 +144,8 @@ export class Chart {
     draw.moveTo(MARGIN.left, bottom + 0.5);
     draw.lineTo(width - MARGIN.right, bottom + 0.5);
     // The first TTI has at least the digits of a tick.
-    const name = draw.measureText("TTI").width + 10, spacing = Math.max(50, draw.measureText(tickText(this.start)).width + 16);
+    const name = draw.measureText("TTI").width + 10;
+    const spacing = Math.max(50, draw.measureText(tickText(this.start)).width + 16);
     for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / spacing)), true)) {
       const x = Math.round(this.x(tti)) + 0.5;
       draw.moveTo(x, bottom);

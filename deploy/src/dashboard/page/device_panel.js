@@ -46,7 +46,10 @@ export async function showDevice() {
   byId("chosen-facts").textContent = `Device ${device}: ${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass}`;
   byId("show-one").onclick = () => byId("one").scrollIntoView();
   if (run.controls) showActions(now.states[device]);
-  if (!chart) addExport(byId("ledger-title").parentElement, { name: "ledger", title: "Energy ledger", rows: () => [["device", "entry", "value"], ...ledger] });
+  if (!chart) {
+    const rows = () => [["device", "entry", "value"], ...ledger];
+    addExport(byId("ledger-title").parentElement, { name: "ledger", title: "Energy ledger", rows });
+  }
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });

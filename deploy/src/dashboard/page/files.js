@@ -7,12 +7,14 @@ import { byId, element, page } from "./page_state.js";
 
 function fileLink({ name, bytes }) {
   const href = `api/files/${name.split("/").map(encodeURIComponent).join("/")}`, file = name.split("/").at(-1);
-  const link = element("a", { href, download: file, textContent: name }), note = element("span", { className: "note" }, ` ${shortNumber(bytes)} bytes`);
+  const link = element("a", { href, download: file, textContent: name });
+  const note = element("span", { className: "note" }, ` ${shortNumber(bytes)} bytes`);
   // Other machines need the token, which a link does not send.
   if (!page.run.has_links) {
     link.onclick = (event) => {
       event.preventDefault();
-      getBytes(href).then((content) => save(file, new Blob([content])), (error) => { note.textContent = ` ${error.message}`; });
+      const showError = (error) => { note.textContent = ` ${error.message}`; };
+      getBytes(href).then((content) => save(file, new Blob([content])), showError);
     };
   }
   return element("li", {}, link, note);
