@@ -12,6 +12,9 @@ use crate::cli::OutputArgs;
 use crate::display::{count_noun, note};
 use crate::scenario_files::ScenarioFiles;
 
+/// Extension of recordings. Only searches in folders need it; texts and pages repeat it in examples.
+pub(crate) const RECORDING_EXTENSION: &str = "mcap";
+
 /// The recording that `--record` requests, or none.
 pub(crate) struct RunRecording {
     /// The recorder and the path of its file.

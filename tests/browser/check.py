@@ -259,6 +259,8 @@ def check_comparison(page, pictures):
     page.until("document.getElementById('refused').textContent === ''")
     # The browser's log holds the refused request and nothing else.
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
+    check_exports(page, "Two runs", "Energy ledger")
+    check_grid(page)
     check_shapes(page, pictures, "compare")
     print(f"two seeds: {difference.split(chr(10))[0][:60]}")
 
@@ -372,13 +374,16 @@ def check_live(page, pictures):
     check_curves(page)
     check_timeline(page, stopped)
     check_misses(page)
+    check_resize(page)
     check_last_events(page)
+    check_histogram(page)
     check_singulars(page)
     check_address(page)
     check_messages(page)
-    check_exports(page)
+    check_exports(page, "Energy ledger", "Messages", "Timeline")
     check_names(page)
     check_actions(page)
+    check_grid(page)
     check_shapes(page, pictures, "live")
     page.push("#follow")
     page.push("#pause")
@@ -408,6 +413,12 @@ def check_clock(page):
     page.until("document.getElementById('state').textContent === 'running'")
     page.until("/^wall clock 0:0/.test(document.getElementById('wall').textContent)")
     assert "/out" in page.text("#path"), page.text("#path")
+    page.push("#path")
+    links = "[...document.querySelectorAll('#file-list a')]"
+    page.until(f"document.getElementById('files').open && {links}.some((link) => link.download === 'scenario.toml')")
+    text = page.value(f"fetch({links}.find((link) => link.download === 'scenario.toml').href).then((answer) => answer.text())")
+    assert text.startswith("preset = "), text
+    page.value("document.getElementById('files').close()")
     assert page.text("#counted") == "warm-up until TTI 1\u202f000\u202f000; nothing is counted yet", page.text("#counted")
     page.push("#pause")
     page.until("document.getElementById('state').textContent === 'paused'")
@@ -528,10 +539,27 @@ def check_curves(page):
     page.touch(*page.centre("#chart-battery canvas", 0.7))
     page.until(f"!{readout}.hidden")
     page.value("document.activeElement.blur()")
+    check_axes(page)
     histogram = "document.querySelector('#histogram .readout')"
     page.move(*page.centre("#histogram canvas", 0.9))
     page.until(f"!{histogram}.hidden && /units[^]*device/.test({histogram}.textContent)")
     page.move(2, 2)
+
+
+def check_axes(page):
+    """Ticks next to each other have different labels, and the highest value of a curve is in its chart."""
+    page.value(
+        "import('./chart.js').then(({ Chart }) => { document.querySelector('main').insertAdjacentHTML('beforebegin', '<div id=\"trial\" style=\"width: 400px; height: 260px\"></div>');"
+        " window.trial = new Chart(document.getElementById('trial'), { id: 'trial', title: 'Trial', unit: '1', series: [''], onChoose() {} });"
+        " window.painted.clear(); scrollTo(0, 0); trial.figure.style.height = '100%';"
+        " trial.show([{ name: 'trial', colour: '--ink', points: Array.from({ length: 40 }, (_, nth) => [1279100 + nth, [nth ? 20001 : 20400]]) }], 1279100, 1279140, null); })"
+    )
+    page.until("trial.ground?.hasValues && window.painted.has('20k')")
+    ttis = page.value("[...window.painted].filter((text) => /M$/.test(text))")
+    assert len(ttis) >= 4 and "1.27911M" in ttis, ttis
+    top, bottom = page.value("[20400, 20001].map((value) => trial.y(value))")
+    assert 8 < top < bottom, (top, bottom)
+    page.value("document.getElementById('trial').remove()")
 
 
 def check_timeline(page, stopped):
@@ -599,6 +627,26 @@ def check_misses(page):
     page.until(f"reveille.moment.tti === {misses[1]}")
 
 
+def check_resize(page):
+    """The timeline shows the TTI of a missed event also in a narrower window."""
+    page.shape(844, 390, "light")
+    page.centre("#timeline")
+    page.until("reveille.timeline.window.width > 700")
+    page.push("#timeline-fit")
+    page.fill("#tti", page.value("reveille.now.next - 1"))
+    page.until("reveille.moment.tti === reveille.now.next - 1")
+    page.push("#previous-miss")
+    page.until("document.getElementById('miss-note').textContent.startsWith('missed event ')")
+    place = "[reveille.timeline.window.x(reveille.tti), reveille.timeline.window.width]"
+    page.until(f"(([x, width]) => 84 <= x && x < width)({place})")
+    page.shape(390, 844, "light")
+    page.centre("#timeline")
+    page.until("reveille.timeline.window.width < 390")
+    x, width = page.value(place)
+    assert 84 <= x < width, (x, width)
+    page.shape(1280, 900, "light")
+
+
 def check_last_events(page):
     """The list of the last events ends at the shown TTI, and names the cause of a missed event."""
     miss = page.value(
@@ -619,6 +667,28 @@ def check_last_events(page):
     page.until(f"reveille.moment.tti === {miss['start'] - 1}")
     page.push("#next-miss")
     page.until(f"document.getElementById('miss-note').textContent.endsWith({json.dumps(miss['cause'])})")
+
+
+def check_histogram(page):
+    """The histogram counts the states that the map shows, in a TTI in which a woken device has reported."""
+    woken = page.value(
+        "(async () => { for (let tti = reveille.now.next - 1; tti >= 0; tti--) {"
+        " const moment = await fetch(`api/tti/${tti}`).then((answer) => answer.json());"
+        " if (moment.reported?.length && moment.woken?.some(({ outcome }) => outcome.Reported)) return tti; } })()"
+    )
+    assert woken, "no woken device has reported"
+    page.fill("#tti", woken)
+    page.until(f"reveille.moment.tti === {woken}")
+    page.centre("#histogram canvas")
+    shown = "[...document.querySelectorAll('#histogram .legend > span')].map((entry) => entry.textContent.trim()).sort()"
+    expected = (
+        "Promise.all([import('./map_symbols.js'), import('./states.js')]).then(([{ symbolsOf }, { STATES }]) => { const counts = {};"
+        " for (const symbol of symbolsOf(reveille.moment)) counts[symbol] = (counts[symbol] ?? 0) + 1;"
+        " return Object.entries(counts).map(([symbol, count]) => `${STATES[symbol].name} ${count}`).sort(); })"
+    )
+    states = page.value(expected)
+    assert any(text.startswith("S3 reports after a wake-up ") for text in states), states
+    page.until(f"JSON.stringify({shown}) === {json.dumps(json.dumps(states, separators=(',', ':')))}")
 
 
 def check_singulars(page):
@@ -682,13 +752,21 @@ def check_messages(page):
     page.value("document.getElementById('detail').close()")
 
 
-def check_exports(page):
-    """Each panel on the page saves a picture and a table."""
+def check_exports(page, *titles):
+    """Each panel on the page saves a picture and a table, also the panels with these titles."""
+    page.fill("#device", 8)
+    page.until("document.getElementById('ledger').textContent.includes('unpowered')")
+    # A chart is painted once it is on the screen.
+    page.centre("#history canvas")
+    page.until("document.querySelector('#history canvas').width > 0 && document.querySelector('#history canvas').height > 0")
     page.value("window.saved = []; URL.createObjectURL = (blob) => { window.saved.push(blob); return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {};")
     # The warm-up hides four charts.
     exports = "[...document.querySelectorAll('.export')].filter((bar) => !bar.closest('[hidden]'))"
     panels = page.value(f"{exports}.length")
     assert panels >= 7, f"{panels} panels"
+    labels = page.value(f"{exports}.map((bar) => bar.querySelector('button').getAttribute('aria-label'))")
+    missing = {f"Save {title} as PNG" for title in titles} - set(labels)
+    assert not missing, (missing, labels)
     for nth in range(panels):
         page.value("window.saved.length = 0")
         page.value(f"{exports}[{nth}].querySelectorAll('button').forEach((button) => button.click())")
@@ -722,6 +800,20 @@ def check_names(page):
         page.shape(1280, 900, scheme)
         low = {pair: share for pair, share in page.value(contrast).items() if share < 1}
         assert not low, (scheme, low)
+
+
+def check_grid(page):
+    """The charts leave no blank cell at any width."""
+    for width in (1280, 1440, 1920, 2560):
+        page.shape(width, 1000, "light")
+        time.sleep(0.3)
+        rows = page.value(
+            "(() => { const rows = {}, { right } = document.getElementById('charts').getBoundingClientRect();"
+            " for (const chart of document.querySelectorAll('#charts .chart:not([hidden])')) { const box = chart.getBoundingClientRect();"
+            "  rows[Math.round(box.top)] = Math.max(rows[Math.round(box.top)] ?? 0, box.right); }"
+            " return Object.values(rows).map((end) => right - end); })()"
+        )
+        assert all(blank < 2 for blank in rows), (width, rows)
 
 
 def check_shapes(page, pictures, name):

@@ -467,6 +467,50 @@ fn untrusted_clients_are_refused() {
 }
 
 #[test]
+fn the_dashboard_serves_the_files_of_its_run_only() {
+    let folder = TestFolder::new();
+    let up = folder.start("up -n 20 -k 300 -P 1 --dashboard 127.0.0.1:0 --hold --record o/r.mcap --out o");
+    let page = DashboardPage::from_output_of(&up);
+    up.wait_for_stderr("the dashboard is served until Ctrl-C");
+    std::fs::write(folder.join("secret.mcap"), "secret").expect("written");
+    std::os::unix::fs::symlink(folder.join("secret.mcap"), folder.join("o/linked.mcap")).expect("a link");
+    let listed = page.get("/api/files");
+    let names: Vec<&str> = listed
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|file| file["name"].as_str().expect("a name"))
+        .collect();
+    assert!(
+        ["events.csv", "r.mcap", "scenario.toml", "summary.json"]
+            .iter()
+            .all(|name| names.contains(name)),
+        "{names:?}"
+    );
+    assert!(!names.contains(&"linked.mcap"), "{names:?}");
+    let (status, body) = page.request("GET", "/api/files/events.csv", &[]);
+    assert_eq!((status, body.as_bytes()), (200, &folder.bytes("o/events.csv")[..]));
+    let absolute = folder.join("secret.mcap").to_string_lossy().into_owned();
+    for name in [
+        "../secret.mcap",
+        "%2e%2e/secret.mcap",
+        "%2e%2e%2fsecret.mcap",
+        "..%2Fsecret.mcap",
+        "scenario-files/../../secret.mcap",
+        "linked.mcap",
+        &absolute,
+        &absolute.replace('/', "%2F"),
+    ] {
+        let (status, body) = page.request("GET", &format!("/api/files/{name}"), &[]);
+        assert!(status == 404, "{name}: {status} {body}");
+    }
+    let elsewhere = [("Sec-Fetch-Site", "cross-site")];
+    assert_eq!(page.request("GET", "/api/files/events.csv", &elsewhere).0, 403);
+    up.signal(Signal::INT);
+    assert!(up.finish().is_success());
+}
+
+#[test]
 fn a_client_that_never_reads_does_not_delay_the_run() {
     let folder = TestFolder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");

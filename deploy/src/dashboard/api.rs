@@ -1,6 +1,7 @@
-//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`, except the routes of `commands`.
-//! Every request passes [`check_request`] first. `page/*.js` uses the paths, query names, JSON keys and status codes;
-//! `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of the JSON.
+//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`, except those of `commands` and
+//! `files`. Every request passes [`check_request`] first. `page/*.js` uses the paths, query names, JSON keys and status
+//! codes; `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of
+//! the JSON.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -43,7 +44,7 @@ const MAX_READERS: usize = 2;
 /// State shared by all request handlers.
 #[derive(Clone)]
 pub(super) struct ApiState {
-    feed: Arc<Feed>,
+    pub(super) feed: Arc<Feed>,
     /// The bus of a live run; commands need one with the run's key. `None` for a recording.
     pub(super) bus: Option<Bus>,
     token: Arc<str>,
@@ -85,7 +86,7 @@ impl ApiState {
     }
 
     /// Calls `read` on a blocking thread. Few run at a time, so that the run's own thread is not delayed.
-    async fn read_feed<T: Send + 'static>(
+    pub(super) async fn read_feed<T: Send + 'static>(
         &self,
         read: impl FnOnce(&Feed) -> T + Send + 'static,
     ) -> Result<T, ApiError> {
@@ -171,6 +172,8 @@ fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
 pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
     let mut about = served.feed.about().clone();
     about["controls"] = json!(served.bus.is_some());
+    // A link sends no token.
+    about["has_links"] = json!(served.address.ip().is_loopback());
     Json(about)
 }
 

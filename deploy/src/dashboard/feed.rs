@@ -3,7 +3,7 @@
 //! requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`, and often in
 //! `tests/program/dashboard.rs` and `tests/browser/check.py`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -49,6 +49,8 @@ pub(crate) enum FeedOrigin<'a> {
 pub(crate) struct Feed {
     /// Battery capacity by device.
     e_max: Vec<Energy>,
+    /// The run folder or the recording.
+    path: Option<PathBuf>,
     /// The part of the data that is constant during the run, as JSON.
     about: Value,
     /// The group of each device, if the policy has groups.
@@ -160,6 +162,7 @@ impl Feed {
         let max_ttis = if is_live { MAX_LIVE_TTIS } else { u64::MAX };
         Arc::new(Self {
             e_max,
+            path,
             about,
             groups,
             state: Mutex::new(FeedState {
@@ -257,6 +260,11 @@ impl Feed {
     /// The data that is constant during the run.
     pub(crate) const fn about(&self) -> &Value {
         &self.about
+    }
+
+    /// The run folder or the recording; `None` for a run of another process.
+    pub(crate) fn path(&self) -> Option<&Path> {
+        self.path.as_deref()
     }
 
     /// The available TTIs and the latest states.

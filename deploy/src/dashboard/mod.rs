@@ -10,6 +10,7 @@ mod commands;
 mod curves;
 mod events;
 pub(crate) mod feed;
+mod files;
 mod page;
 mod timeline;
 
@@ -70,6 +71,8 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/events", get(api::events))
         .route("/api/miss", get(api::miss))
         .route("/api/heat", get(api::heat))
+        .route("/api/files", get(files::files))
+        .route("/api/files/{*name}", get(files::file))
         .route("/api/clock", get(commands::clock))
         .route("/api/clock/{command}", post(commands::command))
         .route("/api/act/{action}", post(commands::act));

@@ -14,8 +14,8 @@ pub(super) const PAGE: &[(&str, &str, &str)] = files! {
     "text/css; charset=utf-8": "layout.css" "style.css";
     "text/javascript; charset=utf-8":
         "address.js" "api.js" "axis.js" "chart.js" "charts.js" "clock.js" "compare.js" "device_actions.js"
-        "device_panel.js" "events_panel.js" "export.js" "histogram.js" "keys.js" "main.js" "map.js" "map_devices.js"
-        "map_ground.js" "map_panel.js" "map_symbols.js" "messages.js" "page_state.js" "run_state.js" "states.js"
-        "theme.js" "timeline.js" "timeline_data.js" "timeline_filter.js" "timeline_panel.js" "timeline_tile.js"
-        "timeline_window.js" "visibility.js";
+        "device_panel.js" "events_panel.js" "export.js" "files.js" "histogram.js" "keys.js" "main.js" "map.js"
+        "map_devices.js" "map_ground.js" "map_panel.js" "map_symbols.js" "messages.js" "page_state.js" "run_state.js"
+        "states.js" "theme.js" "timeline.js" "timeline_data.js" "timeline_filter.js" "timeline_panel.js"
+        "timeline_tile.js" "timeline_window.js" "visibility.js";
 };

@@ -20,11 +20,9 @@ use crate::display::{count_noun, note};
 use crate::exit::InvalidUsage;
 use crate::folder_lock::{FolderStatus, status};
 use crate::input_log::INPUT_LOG_FILE;
+use crate::recording::RECORDING_EXTENSION;
 use crate::run_folder::SCENARIO_FILE;
 use crate::run_reader::RunReader;
-
-/// Extension of recordings. Only searches in folders need it; texts and pages repeat it in examples.
-const RECORDING_EXTENSION: &str = "mcap";
 
 /// A recording file.
 pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;

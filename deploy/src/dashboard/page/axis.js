@@ -12,14 +12,20 @@ export function ticks(low, high, count, isWhole = false) {
   return found;
 }
 
-// A number with at most three significant digits, and thousands as k.
-export function shortNumber(value) {
+// The values of a logarithmic axis that begins at 0.
+export const decades = (high) => [0, ...Array.from({ length: Math.floor(Math.log10(high)) + 1 }, (_, nth) => 10 ** nth)];
+
+// A number with at most this many significant digits, and thousands as k.
+export function shortNumber(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   const size = Math.abs(value);
-  if (size >= 1e6) return `${+(value / 1e6).toPrecision(3)}M`;
-  if (size >= 1e4) return `${+(value / 1e3).toPrecision(3)}k`;
-  return String(+value.toPrecision(3));
+  if (size >= 1e6) return `${+(value / 1e6).toPrecision(digits)}M`;
+  if (size >= 1e4) return `${+(value / 1e3).toPrecision(digits)}k`;
+  return String(+value.toPrecision(digits));
 }
+
+// The label of a tick, with all its digits: ticks next to each other differ.
+export const tickText = (tick) => shortNumber(tick, 12);
 
 // A number with four significant digits.
 export const significant = (value) => +value.toPrecision(4);

@@ -1,6 +1,6 @@
 // One chart: lines over TTIs with axes, a legend, and a readout for mouse, touch and keyboard.
 
-import { shortNumber, ticks, ttiText } from "./axis.js";
+import { decades, shortNumber, tickText, ticks, ttiText } from "./axis.js";
 import { addExport } from "./export.js";
 import { element } from "./page_state.js";
 import { hiddenCanvas, ink, prepareCanvas } from "./theme.js";
@@ -10,9 +10,10 @@ const DASHES = [[], [7, 3], [2, 2.5]];
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
 
 export class Chart {
-  // `series` has a name for each line. `onChoose` receives the TTI of a click. `decorate` paints below the lines.
-  constructor(box, { id, title, unit, series, emptyText, onChoose, decorate }) {
-    Object.assign(this, { title, unit, series, emptyText, onChoose, decorate, runs: [], start: 0, end: 1, tti: null, pointer: null });
+  // `series` has a name for each line. `isLog` keeps usual values apart below a high peak, such as the first plan.
+  // `onChoose` receives the TTI of a click. `decorate` paints below the lines.
+  constructor(box, { id, title, unit, series, isLog, emptyText, onChoose, decorate }) {
+    Object.assign(this, { title, unit, series, isLog, emptyText, onChoose, decorate, runs: [], start: 0, end: 1, tti: null, pointer: null });
     this.legend = element("div", { className: "legend" });
     this.canvas = element("canvas", { tabIndex: 0 });
     this.canvas.setAttribute("role", "img");
@@ -92,20 +93,22 @@ export class Chart {
     const { canvas, draw } = hiddenCanvas(width, height);
     const values = this.runs.flatMap(({ points }) => points.flatMap(([, all]) => all)).filter((value) => value !== null && value !== undefined);
     const hasValues = values.length > 0, bottom = height - MARGIN.bottom;
-    const most = this.most ?? highest(values);
-    const y = (value) => bottom - (value / most) * (bottom - MARGIN.top);
+    const most = this.most ?? (1.06 * values.reduce((a, b) => Math.max(a, b), 0) || 1);
+    const size = this.isLog ? Math.log1p : (value) => value;
+    const y = (value) => bottom - (size(value) / size(most)) * (bottom - MARGIN.top);
+    const marks = this.isLog && most >= 10 ? decades(most) : ticks(0, most, Math.max(2, Math.floor(height / 42)));
     draw.font = "11px system-ui, sans-serif";
     draw.lineWidth = 1;
     draw.textBaseline = "middle";
     draw.textAlign = "right";
-    for (const value of hasValues ? ticks(0, most, Math.max(2, Math.floor(height / 42))) : [0]) {
+    for (const value of hasValues ? marks : [0]) {
       draw.strokeStyle = ink("--line");
       draw.beginPath();
       draw.moveTo(MARGIN.left, Math.round(y(value)) + 0.5);
       draw.lineTo(width - MARGIN.right, Math.round(y(value)) + 0.5);
       draw.stroke();
       draw.fillStyle = ink("--faint");
-      draw.fillText(shortNumber(value), MARGIN.left - 6, y(value));
+      draw.fillText(tickText(value), MARGIN.left - 6, y(value));
     }
     this.decorate?.(draw, bottom);
     this.paintTtis(draw, width, bottom);
@@ -140,13 +143,16 @@ export class Chart {
     draw.beginPath();
     draw.moveTo(MARGIN.left, bottom + 0.5);
     draw.lineTo(width - MARGIN.right, bottom + 0.5);
-    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / 50)), true)) {
+    // The first TTI has at least the digits of a tick.
+    const name = draw.measureText("TTI").width + 10;
+    const spacing = Math.max(50, draw.measureText(tickText(this.start)).width + 16);
+    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / spacing)), true)) {
       const x = Math.round(this.x(tti)) + 0.5;
       draw.moveTo(x, bottom);
       draw.lineTo(x, bottom + 4);
-      const text = shortNumber(tti), half = draw.measureText(text).width / 2;
+      const text = tickText(tti), half = draw.measureText(text).width / 2;
       draw.textAlign = "center";
-      draw.fillText(text, Math.min(x, width - half), bottom + 6);
+      draw.fillText(text, Math.max(name + half, Math.min(x, width - half)), bottom + 6);
     }
     draw.stroke();
     draw.textAlign = "left";
@@ -266,12 +272,6 @@ export class Chart {
     }));
     return [header, ...[...byTti].sort(([a], [b]) => a - b).map(([tti, row]) => [tti, ...row])];
   }
-}
-
-// The top of an axis. A short peak, such as the first plan, does not hide the rest: its line leaves the chart.
-function highest(values) {
-  const sorted = values.toSorted((a, b) => a - b), most = sorted.at(-1) ?? 0, usual = sorted[Math.floor(0.95 * sorted.length)] ?? 0;
-  return (usual > 0 && most > 3 * usual ? 1.5 * usual : 1.06 * most) || 1;
 }
 
 // A short line with a dash pattern, for legends.

@@ -10,7 +10,7 @@ const CHARTS = [
   { id: "delay", title: "Detection delay", unit: "TTIs", series: [""], counted: true, value: (p) => [p.metrics[2]] },
   { id: "energy", title: "Energy", unit: "units per device and TTI", series: ["sensing", "sleep", "reports"], counted: true, value: (p) => p.metrics.slice(3, 6) },
   { id: "battery", title: "Battery", unit: "units", series: ["median", "5 %", "95 %"], value: ({ batteries: [low, median, high] }) => [median, low, high] },
-  { id: "traffic", title: "Air traffic", unit: "bytes per TTI", series: ["control", "reports"], value: (p) => [p.control, p.uplink] },
+  { id: "traffic", title: "Air traffic", unit: "bytes per TTI, logarithmic", series: ["control", "reports"], isLog: true, value: (p) => [p.control, p.uplink] },
 ];
 
 export class Charts {

@@ -1,13 +1,22 @@
 // The comparison with another run: the fields that differ and the first difference of each kind of message.
 
 import { get } from "./api.js";
+import { addExport } from "./export.js";
 import { byId, element, page, plural } from "./page_state.js";
 import { describeRun } from "./run_state.js";
 
-let listed = "";
+let listed = "", found;
+
+// The fields that differ, then the first differences of the messages.
+const rows = () => [
+  ["difference", "tti", "devices", "this run", "other run"],
+  ...found.fields.map(([name, own, other]) => [name, "", "", own, other]),
+  ...found.differences.map(({ kind, tti, devices, this: own, other }) => [kind, tti, devices.join(" "), own, other]),
+];
 
 export async function startCompare() {
-  const { other, other_events: events, other_missed: missed } = await get("api/compare"), { run } = page;
+  found = await get("api/compare");
+  const { other, other_events: events, other_missed: missed } = found, { run } = page;
   page.other = { run: other, moment: null, points: [], events, missed };
   byId("other-figure").hidden = byId("compare").hidden = byId("this-caption").hidden = byId("curve-runs").hidden = false;
   document.querySelector("main").classList.add("comparing");
@@ -15,10 +24,11 @@ export async function startCompare() {
   for (const title of ["events-title", "timeline-title", "traffic-title"]) byId(title).textContent += " of this run";
   byId("this-name").textContent = byId("compare-this").textContent = `this run: ${describeRun(run)}`;
   byId("other-name").textContent = byId("compare-other").textContent = `other run: ${describeRun(other)}`;
+  addExport(byId("compare-title").parentElement, { name: "differences", title: "Two runs", rows });
 }
 
 export async function showCompare(onChooseTti) {
-  const found = await get("api/compare");
+  found = await get("api/compare");
   Object.assign(page.other, { events: found.other_events, missed: found.other_missed });
   const text = JSON.stringify([found.fields, found.differences, found.compared]);
   if (text === listed) return;

@@ -4,13 +4,14 @@ import { get } from "./api.js";
 import { significant, ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
 import { showActions } from "./device_actions.js";
+import { addExport } from "./export.js";
 import { byId, element, page } from "./page_state.js";
 import { STATES, STATE_OF_CODE, nameOfCode, stateEntry } from "./states.js";
 import { ink } from "./theme.js";
 
 const TTIS_BEFORE = 300, TTIS_AFTER = 100;
 
-let chart, requested = 0;
+let chart, ledger = [], requested = 0;
 
 // Paints the states as a band at the foot of the chart.
 function paintStates(draw, history, bottom) {
@@ -45,6 +46,10 @@ export async function showDevice() {
   byId("chosen-facts").textContent = `Device ${device}: ${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass}`;
   byId("show-one").onclick = () => byId("one").scrollIntoView();
   if (run.controls) showActions(now.states[device]);
+  if (!chart) {
+    const rows = () => [["device", "entry", "value"], ...ledger];
+    addExport(byId("ledger-title").parentElement, { name: "ledger", title: "Energy ledger", rows });
+  }
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });
@@ -55,5 +60,7 @@ export async function showDevice() {
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   if (!history.totals) return;
   byId("ledger-title").textContent = `Energy since TTI 0, up to TTI ${ttiText(tti)}`;
-  byId("ledger").replaceChildren(...ledgerRows(history.totals).flatMap(([name, value]) => [element("dt", { textContent: name }), element("dd", { textContent: value })]));
+  const rows = ledgerRows(history.totals);
+  ledger = rows.map((row) => [device, ...row]);
+  byId("ledger").replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { textContent: name }), element("dd", { textContent: value })]));
 }

@@ -3,7 +3,8 @@
 import { element, page } from "./page_state.js";
 import { ink } from "./theme.js";
 
-function save(name, blob) {
+// Saves a file from the page.
+export function save(name, blob) {
   const link = element("a", { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);

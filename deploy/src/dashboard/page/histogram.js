@@ -1,17 +1,17 @@
 // The histogram of the batteries in the shown TTI.
 
-import { shortNumber, ticks } from "./axis.js";
+import { shortNumber, tickText, ticks } from "./axis.js";
 import { addExport } from "./export.js";
+import { symbolsOf } from "./map_symbols.js";
 import { element, page, plural } from "./page_state.js";
-import { STATES, STATE_OF_CODE, colourBox, nameOfCode, stateEntry } from "./states.js";
+import { STATES, colourBox, stateEntry } from "./states.js";
 import { batteryShare, ink, prepareCanvas } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
 const BINS = 20;
-// The states in a bar, from the bottom to the top.
-const PARTS = ["out", "unpowered", "sensing", "reporting", "asleep"];
-// A report has no reason here.
-const nameOf = (state) => (state === "reporting" ? nameOfCode(3) : STATES[state].name);
+// The states in a bar, from the bottom to the top: those of the map.
+const PARTS = ["out", "unpowered", "failed", "sensing", "reporting", "woken", "asleep"];
+const nameOf = (state) => STATES[state].name;
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
 
 export class Histogram {
@@ -50,9 +50,9 @@ export class Histogram {
   // Numbers of devices in equal steps up to the largest E_max, for each state.
   count(moment) {
     const counts = Object.fromEntries(PARTS.map((state) => [state, new Array(BINS).fill(0)])), { e_max } = page.run, most = Math.max(...e_max);
-    for (let device = 0; device < moment.states.length; device += 1) {
-      counts[STATE_OF_CODE[moment.states[device]]][Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * (e_max[device] / most) * BINS))] += 1;
-    }
+    symbolsOf(moment).forEach((state, device) => {
+      counts[state][Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * (e_max[device] / most) * BINS))] += 1;
+    });
     return counts;
   }
 
@@ -77,7 +77,7 @@ export class Histogram {
       draw.lineTo(width - MARGIN.right, Math.round(y(count)) + 0.5);
       draw.stroke();
       draw.fillStyle = ink("--faint");
-      draw.fillText(shortNumber(count), MARGIN.left - 6, y(count));
+      draw.fillText(tickText(count), MARGIN.left - 6, y(count));
     }
     for (let bin = 0; bin < BINS; bin += 1) {
       draw.globalAlpha = this.bin === null || this.bin === bin ? 1 : 0.45;
@@ -99,7 +99,7 @@ export class Histogram {
     draw.textBaseline = "top";
     for (const level of ticks(0, most, 5)) {
       draw.textAlign = level === most ? "right" : "center";
-      draw.fillText(shortNumber(level), level === most ? width - 4 : x((level / most) * BINS), bottom + 6);
+      draw.fillText(tickText(level), level === most ? width - 4 : x((level / most) * BINS), bottom + 6);
     }
     draw.textAlign = "left";
     draw.fillText("units", 4, bottom + 6);

@@ -1,6 +1,7 @@
 // The state of the run, with the names of `reveille clock status` and of the progress bar.
 
 import { clockText, shortNumber, ttiText } from "./axis.js";
+import { showFiles } from "./files.js";
 import { byId, page, plural, setText } from "./page_state.js";
 
 // The state from the latest update and the latest status of the clock.
@@ -51,6 +52,10 @@ export function showAbout() {
   // The mark keeps the leading slash in place: a long path is cut at its start, in a right-to-left box.
   byId("path").textContent = `\u200e${path}`;
   byId("path").title = path;
+  byId("path").onclick = (event) => {
+    event.preventDefault();
+    showFiles().catch((error) => showProblem(error.message));
+  };
   byId("copy-path").onclick = () => navigator.clipboard.writeText(path).then(() => { byId("copy-path").textContent = "Copied"; }, () => getSelection().selectAllChildren(byId("path")));
 }
 

@@ -55,8 +55,11 @@ export class Timeline {
   paint() {
     if (!page.now || !isVisible(this.scroll)) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
-    Object.assign(this.window, { width, height, scroll: this.scroll.scrollTop });
     if (width < GUTTER) return;
+    // A new width, also the first one, keeps the shown TTI in the window.
+    const wasShown = this.window.shows(page.tti);
+    Object.assign(this.window, { width, height, scroll: this.scroll.scrollTop });
+    if (wasShown && !page.follows) this.window.reveal(page.tti, page.now);
     this.paints += 1;
     this.window.keepInside(page.now);
     const visible = this.window.visible(this.devices.length);

@@ -69,9 +69,13 @@ export class TimelineWindow {
     this.from = first;
   }
 
+  shows(tti) {
+    return tti >= this.from && tti < this.from + this.ttis;
+  }
+
   // Moves the window so that it shows a TTI.
   reveal(tti, available) {
-    if (tti >= this.from && tti < this.from + this.ttis) return;
+    if (this.shows(tti)) return;
     this.from = tti - this.ttis / 2;
     this.keepInside(available);
   }
