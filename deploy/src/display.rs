@@ -197,7 +197,7 @@ impl Drop for RunProgressBar {
 struct SpeedMeter {
     /// The next TTI of the run at several times, oldest first.
     samples: VecDeque<(Instant, u64)>,
-    /// Whether the run has advanced since the first sample; before, a speed of 0 says nothing.
+    /// Whether the run has advanced since the first sample; before, no speed is measured.
     has_advanced: bool,
 }
 
@@ -237,7 +237,7 @@ pub(crate) fn join_fitting(parts: &[String], used: usize) -> String {
     join_within(parts, terminal::columns().saturating_sub(used))
 }
 
-/// As [`join_fitting`], within `width` columns.
+/// Joins the `parts` that fit within `width` columns, as [`join_fitting`] describes.
 fn join_within(parts: &[String], width: usize) -> String {
     const GAP: &str = "  ";
     let (first, others) = parts
@@ -249,8 +249,8 @@ fn join_within(parts: &[String], width: usize) -> String {
     })
 }
 
-/// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number: the parts
-/// of a line, the more important ones first. A value is left out until it is measured.
+/// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number: parts
+/// by importance. A value is left out until it is measured.
 fn run_message(
     progress: &RunProgress,
     (devices, ttis, warm_up_end): (u32, u64, u64),

@@ -37,6 +37,17 @@ impl RunAddress {
         option.cloned().or_else(|| self.run.as_ref()?.parse().ok())
     }
 
+    /// Returns the name as [`Self::run`] does; otherwise the one of the resumed `folder`.
+    ///
+    /// # Errors
+    /// If there is no name and no folder.
+    pub(crate) fn run_of_folder(&self, option: Option<&RunName>, folder: Option<&Path>) -> anyhow::Result<RunName> {
+        match self.run(option) {
+            Some(run) => Ok(run),
+            None => Ok(run_name(folder.context("--run: the name of the run is missing")?).parse()?),
+        }
+    }
+
     /// Returns the address of `bs`: from its option, or the one of the resumed run unless `up` chose it.
     pub(crate) fn bs_listen<'a>(&'a self, option: Option<&'a str>, default: &'a str) -> &'a str {
         let given = self.listen.as_deref().filter(|_| !self.has_chosen_port);
@@ -79,6 +90,26 @@ impl RunAddress {
         let path = folder.join(ADDRESS_FILE);
         replace(&path, &serde_json::to_vec(&address)?).with_context(|| format!("cannot write {}", path.display()))
     }
+}
+
+/// Returns the last part of the path of a run folder, changed to a valid run name.
+pub(crate) fn run_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let to_name_char = |c: char| {
+        if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
+            c
+        } else {
+            '-'
+        }
+    };
+    // A run name (`RunName`) has at most 64 characters and does not begin with `-`.
+    let name: String = name
+        .chars()
+        .map(to_name_char)
+        .skip_while(|&c| c == '-')
+        .take(64)
+        .collect();
+    if name.is_empty() { "run".to_owned() } else { name }
 }
 
 #[cfg(test)]

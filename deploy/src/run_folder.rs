@@ -38,7 +38,7 @@ use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
 use crate::paths::check_output_folder;
 use crate::resume_mark::RESUME_MARK_FILE;
-use crate::run_address::ADDRESS_FILE;
+use crate::run_address::{ADDRESS_FILE, run_name};
 use crate::run_tables;
 use crate::scenario_files::{self, ScenarioFiles};
 use crate::summary::Summary;
@@ -281,26 +281,6 @@ fn begin_tables(path: &Path) -> anyhow::Result<TableWriter> {
         (WINDOWS_FILE, run_tables::window_columns().collect()),
     ];
     TableWriter::begin(path, &tables)
-}
-
-/// Returns the last part of the path of a run folder, changed to a valid run name.
-pub(crate) fn run_name(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let to_name_char = |c: char| {
-        if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
-            c
-        } else {
-            '-'
-        }
-    };
-    // A run name (`RunName`) has at most 64 characters and does not begin with `-`.
-    let name: String = name
-        .chars()
-        .map(to_name_char)
-        .skip_while(|&c| c == '-')
-        .take(64)
-        .collect();
-    if name.is_empty() { "run".to_owned() } else { name }
 }
 
 /// Whether the run in a folder is complete, by the `status` of its summary ([`Summary::status`]).

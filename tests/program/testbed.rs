@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 use reveille_tests::process::{FinishedProcess, Process, TestFolder, assert_refused};
 
 /// A program that answers as `docker` does: a base station with the status in the file `status`, and a device container
-/// with the limit of processor cores in the file `limit`.
+/// with the processor limit in the file `limit`.
 const ENGINE: &str = r#"#!/bin/sh
 case "$*" in
   "compose version" | "version "*) echo 29 ;;

@@ -91,7 +91,7 @@ fn explain(message: &str, before: &str, value: &str) -> String {
     let field = line
         .split_once('=')
         .map_or_else(String::new, |(field, _)| format!("{}: ", field.trim()));
-    format!("{}{found}, expected {expected}{hint}", field)
+    format!("{field}{found}, expected {expected}{hint}")
 }
 
 /// Returns the unknown field in a `message`, with the known ones.

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, anyhow, bail, ensure};
+use anyhow::{anyhow, bail, ensure};
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::Observer;
 use reveille_bs::scenario::Scenario;
@@ -39,7 +39,7 @@ use crate::policy_process::PolicyProcess;
 use crate::policy_source::{PolicySource, select_policy_source};
 use crate::resume_mark::ResumeMarkWriter;
 use crate::run_address::RunAddress;
-use crate::run_folder::{RunFolder, run_name};
+use crate::run_folder::RunFolder;
 use crate::run_watchers::RunWatchers;
 use crate::signals::{SignalMode, Signals, run_on_thread};
 use crate::summary::{Summary, Timing};
@@ -68,10 +68,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
     let earlier = RunAddress::of_resumed(args.output.resume.as_deref());
-    let run = match (earlier.run(args.run.as_ref()), &args.output.resume) {
-        (Some(run), _) => run,
-        (None, folder) => run_name(folder.as_deref().context("--run: the name of the run is missing")?).parse()?,
-    };
+    let run = earlier.run_of_folder(args.run.as_ref(), args.output.resume.as_deref())?;
     let listen = earlier.bs_listen(args.listen.as_deref(), DEFAULT_LISTEN);
     let endpoint = Endpoint {
         address: listen,

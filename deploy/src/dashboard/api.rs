@@ -1,4 +1,4 @@
-//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`, except those of `commands` and
+//! The HTTP interface that the dashboard page uses: a handler for each route of `mod.rs` that is not in `commands` or
 //! `files`. Every request passes [`check_request`] first. `page/*.js` uses the paths, query names, JSON keys and status
 //! codes; `tests/program/dashboard.rs`, `tests/browser/check.py` and `bench/watch.rs` use some. `feed` makes most of
 //! the JSON.

@@ -175,7 +175,7 @@ impl HarvestTrace {
         let values =
             start_at_row(numbers, first_row, settings.end, ttis.div_ceil(settings.ttis_per_row)).and_then(|numbers| {
                 match &panel {
-                    None => scale_to_energy(reader, &numbers, names, settings.scale),
+                    None => scale_to_energy(&numbers, names, settings.scale, &|text| reader.warn(text)),
                     Some(panel) => convert_irradiance(panel, &numbers, names, settings.end, ttis),
                 }
             });
@@ -285,10 +285,10 @@ fn start_at_row(
 
 /// Converts `numbers` by column and row to energy per TTI. Warns of columns whose mean changes by rounding.
 fn scale_to_energy(
-    reader: &FieldReader<'_>,
     numbers: &ColumnData<f64>,
     names: &[String],
     scale: f64,
+    warn: &dyn Fn(String),
 ) -> Result<Vec<Vec<Energy>>, String> {
     let energy = |name: &str, (row, &number): (usize, &f64)| {
         Energy::from_units(number * scale).ok_or_else(|| {
@@ -309,7 +309,7 @@ fn scale_to_energy(
         let exact_mean = scale * values.iter().sum::<f64>() / rows;
         let rounded_mean = energies.iter().map(|energy| energy.units()).sum::<f64>() / rows;
         if let Some(rounding) = describe_rounding(exact_mean, rounded_mean) {
-            reader.warn(format!(
+            warn(format!(
                 "the mean of column `{name}` of the trace, {} per TTI, {rounding}",
                 format_significant(exact_mean, 3)
             ));

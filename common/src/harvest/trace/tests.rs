@@ -1,5 +1,6 @@
 //! Tests of the reading of traces, and of their start, end and row limit in whole scenarios.
 
+use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -11,10 +12,30 @@ fn ghi_column(text: &str) -> ColumnData<f64> {
     columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()], 0..usize::MAX).expect("a column")
 }
 
+/// Scales a column of the trace `text`. Returns its energies, or the error, and the warnings.
+fn scale_column(text: &str, scale: f64) -> (Result<Vec<Vec<Energy>>, String>, Vec<String>) {
+    let warnings = RefCell::new(Vec::new());
+    let energies = scale_to_energy(&ghi_column(text), &["ghi".to_owned()], scale, &|text| {
+        warnings.borrow_mut().push(text);
+    });
+    (energies, warnings.into_inner())
+}
+
 #[test]
 fn values_are_scaled_to_micro_units() {
-    let values = scale_to_energy(&ghi_column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
-    assert_eq!(values, [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
+    let (values, warnings) = scale_column("ghi\n0\n500\n", 0.002);
+    assert_eq!(values.expect("valid"), [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
+    assert_eq!(warnings, [""; 0]);
+}
+
+#[test]
+fn a_mean_that_changes_by_rounding_is_warned_of() {
+    // Values below half a micro-unit become 0, and others keep the mean.
+    let (values, warnings) = scale_column("ghi\n1\n3\n", 4e-7);
+    assert_eq!(values.expect("valid"), [[Energy::ZERO, Energy::from_micro(1)]]);
+    let expected = "the mean of column `ghi` of the trace, 0.0000008 per TTI, is rounded to 0.0000005";
+    assert!(warnings.len() == 1 && warnings[0].starts_with(expected), "{warnings:?}");
+    assert_eq!(scale_column("ghi\n1\n999\n", 4e-7).1, [""; 0]);
 }
 
 #[test]
@@ -40,7 +61,7 @@ fn a_negative_irradiance_is_refused_with_its_line() {
 
 #[test]
 fn a_negative_value_is_refused_with_its_line() {
-    let reason = scale_to_energy(&ghi_column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
+    let reason = scale_column("ghi\n1\n-3\n", 1.0).0.expect_err("negative");
     assert!(reason.starts_with("line 3, column `ghi`: -3 times"), "{reason}");
 }
 

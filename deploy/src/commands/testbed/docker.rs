@@ -490,6 +490,7 @@ mod tests {
         ] {
             assert_eq!(is_slow(nano_cpus, declared), is_expected, "{nano_cpus} {declared:?}");
         }
-        assert_eq!([None, Some(0.5), Some(0.01)].map(slow_cpus), [0.05, 0.05, 0.01]);
+        let slow_texts = [None, Some(0.5), Some(0.01)].map(|declared| slow_cpus(declared).to_string());
+        assert_eq!(slow_texts, ["0.05", "0.05", "0.01"]);
     }
 }

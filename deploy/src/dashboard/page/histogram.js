@@ -9,7 +9,7 @@ import { batteryShare, ink, prepareCanvas } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
 const BINS = 20;
-// The states in a bar, from the bottom to the top: those of the map.
+// The states in a bar, from the bottom to the top, named as in the map.
 const PARTS = ["out", "unpowered", "failed", "sensing", "reporting", "woken", "asleep"];
 const nameOf = (state) => STATES[state].name;
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
