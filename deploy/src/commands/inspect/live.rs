@@ -10,14 +10,13 @@ use anyhow::anyhow;
 use reveille_common::bus::{Bus, DeclarationGuard, Role};
 use reveille_common::ids::Tti;
 use reveille_common::message::{
-    ClockCommand, ClockMessage, ClockStatus, DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest,
-    Message, MessageKind, Query,
+    ClockCommand, ClockStatus, DescribeRequest, Frame, InputLogPart, InputLogRequest, Message, MessageKind, Query,
 };
 use reveille_view::recording::ScenarioBundle;
-use tokio::sync::mpsc::Receiver;
 use tokio::sync::watch;
 
 use super::catch_up::CatchUp;
+use super::frame_stream::{BsPresence, FrameStream};
 use crate::cli::TargetArgs;
 use crate::display::{count_noun, note};
 use crate::exit::Interrupted;
@@ -30,19 +29,10 @@ const QUERY_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const OBSERVERS: [Role; 2] = [Role::Observer, Role::Operator];
 /// Batches of frames that can wait in the queue.
 const MAX_QUEUED_BATCHES: usize = 4_096;
-/// Longest wait for each of the last frames of an ended run.
-const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(300);
 /// Pause between two queries of a base station that has just returned.
 const QUERY_PAUSE: Duration = Duration::from_millis(200);
 /// Longest wait for a base station that has left the bus before the end of its run, unless the caller sets another.
 const RETURN_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Whether the base station is on the bus, and how often it has left it.
-#[derive(Clone, Copy, Default)]
-struct BsPresence {
-    is_present: bool,
-    losses: u64,
-}
 
 /// An observed run.
 pub(crate) struct Live {
@@ -53,15 +43,7 @@ pub(crate) struct Live {
     pub devices: u32,
     /// The clock's status when the base station was last reached.
     status: ClockStatus,
-    /// The batches from the tap, each with the losses of the base station before it.
-    batches: Receiver<(u64, FrameBatch)>,
-    bs_presence: watch::Receiver<BsPresence>,
-    /// The losses of the base station that were followed by its return.
-    survived_losses: u64,
-    /// Whether a message of the virtual clock has ended the run.
-    is_run_over: bool,
-    /// Whether the base station has left the bus. The last frames can follow.
-    has_ended: bool,
+    frames: FrameStream,
     /// Longest wait for a base station that has left the bus before the end of its run.
     return_timeout: Duration,
     /// Called with false when the base station has left the bus before the end of its run, and with true on its return.
@@ -71,10 +53,6 @@ pub(crate) struct Live {
     forced_exit: Option<ForcedExit>,
     /// The TTI before which [`Self::follow`] has passed on everything; set when it returns without an error.
     reached: Tti,
-    /// The number of the next frame, once one has arrived.
-    next_frame_number: Option<u64>,
-    /// Frames dropped because this reader was too slow.
-    pub dropped_frames: u64,
     _declared: [DeclarationGuard; 2],
 }
 
@@ -116,18 +94,12 @@ impl Live {
             devices: status.devices,
             status,
             bus,
-            batches,
-            bs_presence,
-            survived_losses: 0,
-            is_run_over: false,
-            has_ended: false,
+            frames: FrameStream::new(batches, bs_presence),
             return_timeout: RETURN_TIMEOUT,
             on_reachability: Box::new(|_| {}),
             signals: Signals::install(SignalMode::HasNoResults)?,
             forced_exit: None,
             reached: Tti::ZERO,
-            next_frame_number: None,
-            dropped_frames: 0,
             _declared: [watch, tap],
         })
     }
@@ -171,7 +143,12 @@ impl Live {
 
     /// Whether the run has ended.
     pub(crate) const fn has_ended(&self) -> bool {
-        self.has_ended
+        self.frames.has_ended
+    }
+
+    /// The number of frames dropped because this reader was too slow.
+    pub(crate) const fn dropped_frames(&self) -> u64 {
+        self.frames.dropped_frames
     }
 
     /// Prints the position of the run, since a paused run may send nothing else for long.
@@ -193,50 +170,11 @@ impl Live {
     /// Receives the next frames and the number of frames dropped before them. Returns `None` once the base station has
     /// left the bus or a signal came.
     pub(crate) async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
-        let survived_losses = self.survived_losses;
-        if !self.has_ended {
-            let batch = tokio::select! {
-                // In this order: a signal ends the wait, and batches that have arrived come before the end of the run.
-                biased;
-                () = self.signals.wait_for_first() => return None,
-                batch = self.batches.recv() => Some(batch?),
-                _ = self.bs_presence.wait_for(|presence| presence.losses > survived_losses) => None,
-            };
-            match batch {
-                Some((losses, batch)) if losses == survived_losses => return Some(self.count_gap(batch)),
-                Some((_, batch)) => return self.take_late(batch),
-                None => self.has_ended = true,
-            }
+        tokio::select! {
+            biased;
+            () = self.signals.wait_for_first() => None,
+            frames = self.frames.next() => frames,
         }
-        // The end of the run becomes visible before its last batches arrive.
-        let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
-        let (_, batch) = self.signals.unless_interrupted(last_batch).await?.ok().flatten()?;
-        self.take_late(batch)
-    }
-
-    /// Takes a batch that arrived after the loss of the base station. Returns its frames, unless the base station is
-    /// back: then it may be a batch of the next connection, whose frames the catch-up repeats.
-    fn take_late(&mut self, batch: FrameBatch) -> Option<(Vec<Frame>, u64)> {
-        self.has_ended = true;
-        if self.bs_presence.borrow().is_present {
-            self.note_end(&batch);
-            return None;
-        }
-        Some(self.count_gap(batch))
-    }
-
-    /// Records whether a message of the virtual clock in `batch` ends the run.
-    fn note_end(&mut self, batch: &FrameBatch) {
-        let is_last = |frame: &Frame| {
-            frame.kind == MessageKind::Clock
-                && matches!(
-                    frame.message(),
-                    Ok(Message::Clock(
-                        ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_)
-                    ))
-                )
-        };
-        self.is_run_over |= batch.frames.iter().any(is_last);
     }
 
     /// After [`Self::next`] has returned `None`: waits for the return of a base station that left the bus before the
@@ -247,7 +185,7 @@ impl Live {
     /// If the bus fails, or the base station that returns has another run.
     async fn wait_for_return(&mut self) -> anyhow::Result<bool> {
         // After dropped messages, the number of those passed on is not the position in the run.
-        if self.signals.has_arrived() || self.is_run_over || self.dropped_frames > 0 {
+        if self.signals.has_arrived() || self.frames.is_run_over || self.frames.dropped_frames > 0 {
             return Ok(false);
         }
         let limit = if self.return_timeout == Duration::MAX {
@@ -275,31 +213,15 @@ impl Live {
         );
         (self.on_reachability)(true);
         note!("the base station is back: {status}");
-        (self.status, self.has_ended, self.next_frame_number) = (status, false, None);
+        self.status = status;
+        self.frames.resume();
         Ok(true)
     }
 
     /// Waits until the base station is on the bus again and answers, and returns its status; `None` if a late message
-    /// ends the run. Batches that came before the query are dropped.
+    /// ends the run.
     async fn query_returned_bs(&mut self) -> anyhow::Result<Option<ClockStatus>> {
-        loop {
-            let received = tokio::select! {
-                biased;
-                batch = self.batches.recv() => Err(batch),
-                presence = self.bs_presence.wait_for(|presence| presence.is_present) => Ok(presence?.losses),
-            };
-            let losses = match received {
-                Ok(losses) => losses,
-                Err(None) => return Ok(None),
-                Err(Some((_, batch))) => {
-                    self.note_end(&batch);
-                    if self.is_run_over {
-                        return Ok(None);
-                    }
-                    continue;
-                }
-            };
-            self.survived_losses = losses;
+        while self.frames.wait_for_bs().await? {
             let status = self.bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await?;
             if status.is_some() {
                 return Ok(status);
@@ -307,6 +229,7 @@ impl Live {
             // A query without a route to the base station ends immediately.
             tokio::time::sleep(QUERY_PAUSE).await;
         }
+        Ok(None)
     }
 
     /// Checks that a run did not end before its last TTI. Call it after [`Self::follow`], which counts the TTIs.
@@ -316,7 +239,7 @@ impl Live {
     pub(crate) fn check_ran_to_end(&self) -> anyhow::Result<()> {
         let (reached, ttis) = (self.reached, self.status.ttis);
         anyhow::ensure!(
-            !self.has_ended || reached.0 >= ttis,
+            !self.frames.has_ended || reached.0 >= ttis,
             "the run was interrupted or failed before TTI {reached} of {ttis}"
         );
         Ok(())
@@ -397,8 +320,8 @@ impl Live {
                 }
                 anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
-            if self.dropped_frames > 0 && !has_warned {
-                let (dropped, tti) = (count_noun(self.dropped_frames, "message"), catch_up.replayed_until());
+            if self.dropped_frames() > 0 && !has_warned {
+                let (dropped, tti) = (count_noun(self.dropped_frames(), "message"), catch_up.replayed_until());
                 note!("{dropped} after TTI {tti} dropped (reader too slow)");
                 has_warned = true;
             }
@@ -424,18 +347,6 @@ impl Live {
                 return Ok(true);
             }
         }
-    }
-
-    /// Adds the frames missing before `batch` to the count. Returns the frames of `batch` and the missing number.
-    fn count_gap(&mut self, batch: FrameBatch) -> (Vec<Frame>, u64) {
-        // Saturating: a batch whose numbers go back must not wrap the count.
-        let missing = batch
-            .first
-            .saturating_sub(self.next_frame_number.unwrap_or(batch.first));
-        self.dropped_frames += missing;
-        self.next_frame_number = Some(batch.first.saturating_add(batch.frames.len() as u64));
-        self.note_end(&batch);
-        (batch.frames, missing)
     }
 
     /// Closes the connection.

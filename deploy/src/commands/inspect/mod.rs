@@ -4,6 +4,7 @@
 
 mod catch_up;
 mod export;
+mod frame_stream;
 pub(crate) mod live;
 mod misses;
 mod passed_frames;

@@ -36,7 +36,7 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     };
     let follow_result = live.follow(catch_up, record_frame).await;
     drop(recorder_handle);
-    let (dropped_frames, end_check) = (live.dropped_frames, live.check_ran_to_end());
+    let (dropped_frames, end_check) = (live.dropped_frames(), live.check_ran_to_end());
     // Closed before any error is returned, so that the frames so far can be read.
     let file_stats = recorder.finish(None).map_err(recording_error)?;
     follow_result?;

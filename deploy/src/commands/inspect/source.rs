@@ -183,7 +183,7 @@ impl FrameSource {
         let shown_messages = count_noun(shown, "message");
         match self {
             Self::Live(live) => {
-                let dropped_frames = live.dropped_frames;
+                let dropped_frames = live.dropped_frames();
                 format!("{shown_messages} shown, {dropped_frames} dropped (reader too slow)")
             }
             Self::Recorded(..) => format!("{shown_messages} shown"),

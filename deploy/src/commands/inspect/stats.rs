@@ -59,11 +59,11 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     };
     print_stdout(&format!("{}\n", format_stats(args, &traffic, device_count)))?;
     if let FrameSource::Live(live) = &source
-        && live.dropped_frames > 0
+        && live.dropped_frames() > 0
     {
         note!(
             "{} dropped and not counted (reader too slow)",
-            count_noun(live.dropped_frames, "message")
+            count_noun(live.dropped_frames(), "message")
         );
     }
     source.close().await;
