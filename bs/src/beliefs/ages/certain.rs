@@ -55,6 +55,29 @@ impl MaskDisc {
     }
 }
 
+/// Passes a TTI in neighbouring cells of a row: a cell is 1 TTI old if a chosen device covers it, and otherwise ages.
+#[inline]
+fn pass_tti(
+    ages: &mut [u8; DISC_SIDE],
+    worths: &mut [u8; DISC_SIDE],
+    uncovered_worths: &[u8; DISC_SIDE],
+    inside: &[u8; DISC_SIDE],
+) {
+    // Masks instead of branches, which would prevent vector instructions. An uncovered place has a worth of at least 1.
+    let covered: [u8; DISC_SIDE] = array::from_fn(|i| all_ones_if(uncovered_worths[i] == 0));
+    let next_ages: [u8; DISC_SIDE] = array::from_fn(|i| ages[i].saturating_add(1));
+    // a(a + 1)/2 is the sum of all whole numbers up to a.
+    let growths: [u8; DISC_SIDE] = array::from_fn(|i| next_ages[i] & all_ones_if(next_ages[i] <= SATURATION_AGE));
+    *ages = array::from_fn(|i| next_ages[i] & !covered[i] | covered[i] & 1);
+    *worths = array::from_fn(|i| ((worths[i] + growths[i]) & !covered[i] | covered[i] & 1) & inside[i]);
+}
+
+/// Returns a byte of all ones or zeros.
+#[inline]
+fn all_ones_if(condition: bool) -> u8 {
+    u8::from(condition).wrapping_neg()
+}
+
 /// Returns the sum of all bytes in `rows`, of which there are at most [`DISC_SIDE`].
 #[inline]
 fn sum_bytes(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
@@ -81,9 +104,11 @@ const MANY: u8 = u8::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct CertainAges {
     stride: usize,
-    /// Number of rows, and of columns, in the area.
+    /// Number of rows in the area.
     rows: usize,
-    columns: usize,
+    /// The columns of a row, 16 at a time: a byte of all ones for those in the area. The unused cells after a row leave
+    /// room for the last.
+    inside: Vec<[u8; DISC_SIDE]>,
     discs: Vec<MaskDisc>,
     ages: Vec<u8>,
     /// Worth of each cell; 0 outside the area.
@@ -98,10 +123,12 @@ impl CertainAges {
     pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64) -> Self {
         let zeros = vec![0; cells.len()];
         let [rows, columns] = cells.rows_and_columns();
+        let mut inside = vec![[0; DISC_SIDE]; columns.div_ceil(DISC_SIDE)];
+        inside.as_flattened_mut()[..columns].fill(u8::MAX);
         let mut ages = Self {
             stride: cells.stride(),
             rows,
-            columns,
+            inside,
             discs: positions.iter().map(|&p| MaskDisc::new(cells, p, d_max)).collect(),
             ages: zeros.clone(),
             cell_worths: zeros.clone(),
@@ -149,7 +176,7 @@ impl CertainAges {
         for (((uncovered, mask), (counts, _)), (worths, _)) in rows.zip(counts).zip(worths) {
             *counts = array::from_fn(|i| counts[i] - (u8::from(counts[i] < MANY) & mask[i]));
             // Without a branch, which would prevent vector instructions.
-            *uncovered = array::from_fn(|i| worths[i] & u8::from(counts[i] == 0).wrapping_neg());
+            *uncovered = array::from_fn(|i| worths[i] & all_ones_if(counts[i] == 0));
         }
     }
 
@@ -160,24 +187,19 @@ impl CertainAges {
 
     pub(super) fn advance(&mut self, is_event_reported: bool) {
         // Cells outside the area keep a worth of 0, so no device is chosen for them.
+        let padded_columns = self.inside.as_flattened().len();
         for start in (0..self.rows).map(|row| row * self.stride) {
-            let row = start..start + self.columns;
-            let ages = &mut self.ages[row.clone()];
-            let worths = &mut self.cell_worths[row.clone()];
-            if is_event_reported {
-                ages.fill(1);
-                worths.fill(1);
-                continue;
-            }
-            let cells = ages.iter_mut().zip(worths).zip(&self.uncovered_worths[row]);
-            for ((age, worth), &uncovered_worth) in cells {
-                // An uncovered place has a worth of at least 1.
-                let is_covered = uncovered_worth == 0;
-                let next_age = age.saturating_add(1);
-                // a(a + 1)/2 is the sum of all whole numbers up to a.
-                let growth = if next_age <= SATURATION_AGE { next_age } else { 0 };
-                *age = if is_covered { 1 } else { next_age };
-                *worth = if is_covered { 1 } else { *worth + growth };
+            let row = start..start + padded_columns;
+            let (ages, _) = self.ages[row.clone()].as_chunks_mut();
+            let (worths, _) = self.cell_worths[row.clone()].as_chunks_mut();
+            let (uncovered, _) = self.uncovered_worths[row].as_chunks();
+            for (((ages, worths), uncovered), inside) in ages.iter_mut().zip(worths).zip(uncovered).zip(&self.inside) {
+                if is_event_reported {
+                    *ages = [1; DISC_SIDE];
+                    *worths = array::from_fn(|i| inside[i] & 1);
+                } else {
+                    pass_tti(ages, worths, uncovered, inside);
+                }
             }
         }
         self.clear();
