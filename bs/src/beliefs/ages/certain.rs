@@ -32,15 +32,16 @@ impl MaskDisc {
         }
     }
 
-    /// Returns the rows of the square in `cells`, which has `stride` cells per row, each with its mask.
+    /// Returns the rows of the square in `cells`, which has `stride` cells per row, each with its mask. Unused rows
+    /// follow the area, so the last row is complete up to the next one.
     #[inline]
     fn rows<'a, T>(
         &'a self,
         cells: &'a [T],
         stride: usize,
     ) -> impl Iterator<Item = (&'a [T; DISC_SIDE], &'a [u8; DISC_SIDE])> {
-        let rows = cells[self.corner..].chunks(stride).filter_map(|row| row.first_chunk());
-        rows.zip(&self.mask)
+        let rows = cells[self.corner..][..DISC_SIDE * stride].chunks_exact(stride);
+        rows.filter_map(|row| row.first_chunk()).zip(&self.mask)
     }
 
     #[inline]
@@ -49,11 +50,50 @@ impl MaskDisc {
         cells: &'a mut [T],
         stride: usize,
     ) -> impl Iterator<Item = (&'a mut [T; DISC_SIDE], &'a [u8; DISC_SIDE])> {
-        let rows = cells[self.corner..]
-            .chunks_mut(stride)
-            .filter_map(|row| row.first_chunk_mut());
-        rows.zip(&self.mask)
+        let rows = cells[self.corner..][..DISC_SIDE * stride].chunks_exact_mut(stride);
+        rows.filter_map(|row| row.first_chunk_mut()).zip(&self.mask)
     }
+}
+
+/// Passes a TTI in neighbouring cells of a row: a cell is 1 TTI old if a chosen device covers it, and otherwise ages.
+#[inline]
+fn pass_tti(
+    ages: &mut [u8; DISC_SIDE],
+    worths: &mut [u8; DISC_SIDE],
+    uncovered_worths: &[u8; DISC_SIDE],
+    inside: &[u8; DISC_SIDE],
+) {
+    // Masks instead of branches, which would prevent vector instructions. An uncovered place has a worth of at least 1.
+    let covered: [u8; DISC_SIDE] = array::from_fn(|i| all_ones_if(uncovered_worths[i] == 0));
+    let next_ages: [u8; DISC_SIDE] = array::from_fn(|i| ages[i].saturating_add(1));
+    // a(a + 1)/2 is the sum of all whole numbers up to a.
+    let growths: [u8; DISC_SIDE] = array::from_fn(|i| next_ages[i] & all_ones_if(next_ages[i] <= SATURATION_AGE));
+    *ages = array::from_fn(|i| next_ages[i] & !covered[i] | covered[i] & 1);
+    *worths = array::from_fn(|i| ((worths[i] + growths[i]) & !covered[i] | covered[i] & 1) & inside[i]);
+}
+
+/// Returns a byte of all ones or zeros.
+#[inline]
+fn all_ones_if(condition: bool) -> u8 {
+    u8::from(condition).wrapping_neg()
+}
+
+/// Returns the sum of all bytes in `rows`, of which there are at most [`DISC_SIDE`].
+#[inline]
+fn sum_bytes(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
+    // Every x86-64 CPU has SSE2, so this is decided at compile time.
+    #[cfg(target_arch = "x86_64")]
+    if let Some(sse2) = pulp::core_arch::x86::Sse2::try_new() {
+        let zero = sse2._mm_setzero_si128();
+        // The sum of absolute differences to 0 adds eight bytes in one instruction.
+        let add_row = |sums, row| sse2._mm_add_epi64(sums, sse2._mm_sad_epu8(pulp::cast(row), zero));
+        let [first, second]: [u64; 2] = pulp::cast(rows.fold(zero, add_row));
+        return (first + second) as u32;
+    }
+    // The columns are summed in parallel: a sum of 16 bytes fits 16 bits.
+    let add_row = |sums: [u16; DISC_SIDE], row: [u8; DISC_SIDE]| array::from_fn(|i| sums[i] + u16::from(row[i]));
+    let column_sums = rows.fold([0; DISC_SIDE], add_row);
+    column_sums.into_iter().map(u32::from).sum()
 }
 
 /// A cell that this many chosen devices cover stays covered until the choice is cleared, since their number is unknown.
@@ -64,9 +104,11 @@ const MANY: u8 = u8::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct CertainAges {
     stride: usize,
-    /// Number of rows, and of columns, in the area.
+    /// Number of rows in the area.
     rows: usize,
-    columns: usize,
+    /// The columns of a row, 16 at a time: a byte of all ones for those in the area. The unused cells after a row leave
+    /// room for the last.
+    inside: Vec<[u8; DISC_SIDE]>,
     discs: Vec<MaskDisc>,
     ages: Vec<u8>,
     /// Worth of each cell; 0 outside the area.
@@ -81,10 +123,12 @@ impl CertainAges {
     pub(super) fn new(cells: &Cells, positions: &[Point], d_max: f64) -> Self {
         let zeros = vec![0; cells.len()];
         let [rows, columns] = cells.rows_and_columns();
+        let mut inside = vec![[0; DISC_SIDE]; columns.div_ceil(DISC_SIDE)];
+        inside.as_flattened_mut()[..columns].fill(u8::MAX);
         let mut ages = Self {
             stride: cells.stride(),
             rows,
-            columns,
+            inside,
             discs: positions.iter().map(|&p| MaskDisc::new(cells, p, d_max)).collect(),
             ages: zeros.clone(),
             cell_worths: zeros.clone(),
@@ -99,12 +143,8 @@ impl CertainAges {
     /// Returns the gain of the `j`-th device, at most 16 · 16 · 255.
     #[inline]
     pub(super) fn gain(&self, j: usize) -> u32 {
-        // The columns are summed in parallel: a sum of 16 bytes fits 16 bits.
-        let mut column_sums = [0_u16; DISC_SIDE];
-        for (uncovered, mask) in self.discs[j].rows(&self.uncovered_worths, self.stride) {
-            column_sums = array::from_fn(|i| column_sums[i] + u16::from(uncovered[i] & mask[i]));
-        }
-        column_sums.into_iter().map(u32::from).sum()
+        let rows = self.discs[j].rows(&self.uncovered_worths, self.stride);
+        sum_bytes(rows.map(|(uncovered, mask)| array::from_fn(|i| uncovered[i] & mask[i])))
     }
 
     /// Returns the worth that the chosen devices leave uncovered.
@@ -135,7 +175,8 @@ impl CertainAges {
         let worths = disc.rows(&self.cell_worths, self.stride);
         for (((uncovered, mask), (counts, _)), (worths, _)) in rows.zip(counts).zip(worths) {
             *counts = array::from_fn(|i| counts[i] - (u8::from(counts[i] < MANY) & mask[i]));
-            *uncovered = array::from_fn(|i| if counts[i] == 0 { worths[i] } else { 0 });
+            // Without a branch, which would prevent vector instructions.
+            *uncovered = array::from_fn(|i| worths[i] & all_ones_if(counts[i] == 0));
         }
     }
 
@@ -146,24 +187,19 @@ impl CertainAges {
 
     pub(super) fn advance(&mut self, is_event_reported: bool) {
         // Cells outside the area keep a worth of 0, so no device is chosen for them.
+        let padded_columns = self.inside.as_flattened().len();
         for start in (0..self.rows).map(|row| row * self.stride) {
-            let row = start..start + self.columns;
-            let ages = &mut self.ages[row.clone()];
-            let worths = &mut self.cell_worths[row.clone()];
-            if is_event_reported {
-                ages.fill(1);
-                worths.fill(1);
-                continue;
-            }
-            let cells = ages.iter_mut().zip(worths).zip(&self.uncovered_worths[row]);
-            for ((age, worth), &uncovered_worth) in cells {
-                // An uncovered place has a worth of at least 1.
-                let is_covered = uncovered_worth == 0;
-                let next_age = age.saturating_add(1);
-                // a(a + 1)/2 is the sum of all whole numbers up to a.
-                let growth = if next_age <= SATURATION_AGE { next_age } else { 0 };
-                *age = if is_covered { 1 } else { next_age };
-                *worth = if is_covered { 1 } else { *worth + growth };
+            let row = start..start + padded_columns;
+            let (ages, _) = self.ages[row.clone()].as_chunks_mut();
+            let (worths, _) = self.cell_worths[row.clone()].as_chunks_mut();
+            let (uncovered, _) = self.uncovered_worths[row].as_chunks();
+            for (((ages, worths), uncovered), inside) in ages.iter_mut().zip(worths).zip(uncovered).zip(&self.inside) {
+                if is_event_reported {
+                    *ages = [1; DISC_SIDE];
+                    *worths = array::from_fn(|i| inside[i] & 1);
+                } else {
+                    pass_tti(ages, worths, uncovered, inside);
+                }
             }
         }
         self.clear();

@@ -25,7 +25,9 @@ pub struct DeviceSelector {
     heap: BinaryHeap<u64>,
     /// Gain by device at the start of a choice, before it adds a device.
     gains_alone: Vec<f64>,
-    is_chosen: Vec<bool>,
+    /// Gain at the start less the price by device; negative infinity for a chosen device.
+    nets_alone: Vec<f64>,
+    neighbours: Option<NeighbourLists>,
     /// Chosen devices in order; `None` for a device removed without a replacement.
     chosen: Vec<Option<u32>>,
 }
@@ -33,13 +35,15 @@ pub struct DeviceSelector {
 impl DeviceSelector {
     /// Creates a selector for devices at `positions` of `area` with sensing range `d_max`.
     pub fn new(positions: &[Point], area: Area, d_max: f64) -> Self {
+        let buckets = Buckets::new(positions, area, d_max);
         Self {
-            buckets: Buckets::new(positions, area, d_max),
+            neighbours: NeighbourLists::new(positions, &buckets, d_max),
+            buckets,
             d_max,
             positions: positions.to_vec(),
             heap: BinaryHeap::new(),
             gains_alone: vec![0.0; positions.len()],
-            is_chosen: vec![false; positions.len()],
+            nets_alone: vec![0.0; positions.len()],
             chosen: Vec::new(),
         }
     }
@@ -53,7 +57,6 @@ impl DeviceSelector {
     /// price. Then each chosen device is removed in turn, `IMPROVEMENT_ROUNDS` times. Of this device and the others
     /// within d_max, the one with the largest positive worth less price takes its slot. Otherwise the slot stays empty.
     pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {
-        self.is_chosen.fill(false);
         self.chosen.clear();
         self.choose_greedily(ages, prices);
         self.replace_chosen(ages, prices);
@@ -66,8 +69,10 @@ impl DeviceSelector {
         // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
         let mut keys = std::mem::take(&mut self.heap).into_vec();
         keys.clear();
-        for ((gain_alone, &price), j) in self.gains_alone.iter_mut().zip(prices).zip(0..) {
+        let alone = self.gains_alone.iter_mut().zip(&mut self.nets_alone);
+        for (((gain_alone, net_alone), &price), j) in alone.zip(prices).zip(0..) {
             *gain_alone = ages.gain(j as usize);
+            *net_alone = *gain_alone - price;
             keys.extend(ratio_key(*gain_alone, price, j));
         }
         self.heap = BinaryHeap::from(keys);
@@ -78,7 +83,7 @@ impl DeviceSelector {
                 Some(key) if key == *best => {
                     PeekMut::pop(best);
                     ages.add(j as usize);
-                    self.is_chosen[j as usize] = true;
+                    self.nets_alone[j as usize] = f64::NEG_INFINITY;
                     self.chosen.push(Some(j));
                 }
                 Some(key) => *best = key,
@@ -102,11 +107,11 @@ impl DeviceSelector {
             let slot = turn % slot_count;
             let Some(j) = self.chosen[slot] else { continue };
             ages.remove(j as usize);
-            self.is_chosen[j as usize] = false;
             let best = self.best_around(ages, prices, j as usize);
+            self.nets_alone[j as usize] = self.gains_alone[j as usize] - prices[j as usize];
             if let Some(best) = best {
                 ages.add(best as usize);
-                self.is_chosen[best as usize] = true;
+                self.nets_alone[best as usize] = f64::NEG_INFINITY;
             }
             if best != Some(j) {
                 unchanged_slots = 0;
@@ -116,7 +121,7 @@ impl DeviceSelector {
     }
 
     /// Returns the device with the largest positive worth less price among device `j`, which was just removed, and the
-    /// others within d_max. Ties go to j, then to the lowest number.
+    /// others within d_max. Ties go to j, then to the lowest number. `nets_alone` has j as chosen.
     fn best_around(&self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
         let net_of_j = ages.gain(j) - prices[j];
         let (mut best_net, mut best) = if net_of_j > 0.0 {
@@ -125,22 +130,58 @@ impl DeviceSelector {
             (0.0, None)
         };
         let initial_best = best;
-        self.buckets.within(self.positions[j], self.d_max, |i, _| {
+        let mut try_device = |i: u32| {
             // A device is never worth more than alone, so the bound spares most candidates an evaluation.
-            if i == j || self.is_chosen[i] || self.gains_alone[i] - prices[i] < best_net {
+            if self.nets_alone[i as usize] < best_net {
                 return;
             }
-            let net = ages.gain(i) - prices[i];
+            let net = ages.gain(i as usize) - prices[i as usize];
             let is_better = match net.total_cmp(&best_net) {
                 Ordering::Greater => true,
-                Ordering::Equal => best != initial_best && best.is_some_and(|best| (i as u32) < best),
+                Ordering::Equal => best != initial_best && best.is_some_and(|best| i < best),
                 Ordering::Less => false,
             };
             if is_better {
-                (best_net, best) = (net, Some(i as u32));
+                (best_net, best) = (net, Some(i));
             }
-        });
+        };
+        match &self.neighbours {
+            Some(lists) => lists.of(j).iter().copied().for_each(try_device),
+            None => self
+                .buckets
+                .within(self.positions[j], self.d_max, |i, _| try_device(i as u32)),
+        }
         best
+    }
+}
+
+/// Most entries of [`NeighbourLists`], 16 MiB. Larger deployments search the neighbours of a device each time.
+const MAX_LIST_ENTRIES: usize = 1 << 22;
+
+/// The devices within d_max of each device, itself included.
+#[derive(Clone, Debug)]
+struct NeighbourLists {
+    /// The neighbours of device j are `devices[starts[j] .. starts[j + 1]]`.
+    starts: Vec<u32>,
+    devices: Vec<u32>,
+}
+
+impl NeighbourLists {
+    /// Creates the lists; `None` if they have more than [`MAX_LIST_ENTRIES`].
+    fn new(positions: &[Point], buckets: &Buckets, d_max: f64) -> Option<Self> {
+        let (mut starts, mut devices) = (vec![0], Vec::new());
+        for &position in positions {
+            buckets.within(position, d_max, |i, _| devices.push(i as u32));
+            if devices.len() > MAX_LIST_ENTRIES {
+                return None;
+            }
+            starts.push(devices.len() as u32);
+        }
+        Some(Self { starts, devices })
+    }
+
+    fn of(&self, j: usize) -> &[u32] {
+        &self.devices[self.starts[j] as usize..self.starts[j + 1] as usize]
     }
 }
 
