@@ -114,19 +114,18 @@ impl FrameStream {
     /// that came before are dropped.
     pub(super) async fn wait_for_bs(&mut self) -> anyhow::Result<bool> {
         loop {
-            tokio::select! {
+            let batch = tokio::select! {
                 biased;
-                batch = self.batches.recv() => {
-                    let Some((_, batch)) = batch else { return Ok(false) };
-                    self.note_end(&batch);
-                    if self.is_run_over {
-                        return Ok(false);
-                    }
-                }
+                batch = self.batches.recv() => batch,
                 presence = self.bs_presence.wait_for(|presence| presence.is_present) => {
                     self.survived_losses = presence?.losses;
                     return Ok(true);
                 }
+            };
+            let Some((_, batch)) = batch else { return Ok(false) };
+            self.note_end(&batch);
+            if self.is_run_over {
+                return Ok(false);
             }
         }
     }
