@@ -40,7 +40,7 @@ fn every_toml_file_of_a_user_has_the_same_hints() {
         ),
         (
             "name = \"bed\"",
-            "nane = \"bed\"",
+            "names = \"bed\"",
             ["bed/testbed.toml, line", "did you mean `name`?"],
         ),
         ("containers = 5", "containers = 1e4", ["bed/testbed.toml, line", WHOLE]),

@@ -122,8 +122,8 @@ mod tests {
         for (line, reason) in [
             ("name = two", "invalid boolean, expected `true`; put text in quotes"),
             (
-                "nane = \"a\"",
-                "unknown field `nane`; did you mean `name`?; the fields there are `name`, `containers`, `cpus`, \
+                "names = \"a\"",
+                "unknown field `names`; did you mean `name`?; the fields there are `name`, `containers`, `cpus`, \
                  `faults`",
             ),
             ("colour = 1", "unknown field `colour`; the fields there are `name`"),
