@@ -11,7 +11,7 @@ use std::ops::{Add, AddAssign, Sub, SubAssign};
 
 use serde::{Deserialize, Serialize};
 
-use crate::digits::{count_noun, format_significant};
+use crate::digits::count_noun;
 
 /// Number of micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
@@ -21,14 +21,13 @@ pub const MICRO_PER_UNIT: u64 = 1_000_000;
 /// `device/src/machine/mod.rs`) add up within 64 bits. Sums over a run are checked when a scenario is loaded.
 pub const MAX_UNITS: f64 = 1e9;
 
-/// Describes the rounding of `units` of energy to `rounded` units if it changes them by more than 1 %.
-pub(crate) fn describe_rounding(units: f64, rounded: f64) -> Option<String> {
-    ((units - rounded).abs() > 0.01 * units.abs()).then(|| {
-        let step = format_significant(1.0 / MICRO_PER_UNIT as f64, 1);
-        let rounded = format_significant(rounded, 3);
-        format!("is rounded to {rounded}, in steps of {step}; write all energies in a smaller unit")
-    })
+/// Whether rounding `units` of energy to `rounded` units changes them by more than 1 %.
+pub(crate) fn is_changed_by_rounding(units: f64, rounded: f64) -> bool {
+    (units - rounded).abs() > 0.01 * units.abs()
 }
+
+/// The reason of rounding, with the fix, for warnings.
+pub(crate) const ROUNDING_RULE: &str = "energies are multiples of 0.000001; write all energies in a smaller unit";
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -164,16 +163,16 @@ mod tests {
     }
 
     #[test]
-    fn a_rounding_by_more_than_a_hundredth_is_described() {
-        let describe = |units| describe_rounding(units, Energy::from_units(units).expect("in range").units());
+    fn rounding_counts_from_a_hundredth() {
+        let is_changed = |units| is_changed_by_rounding(units, Energy::from_units(units).expect("in range").units());
         for units in [4e-7, 1.5e-6, 1.02e-5] {
-            assert!(describe(units).is_some(), "{units}");
+            assert!(is_changed(units), "{units}");
         }
         for units in [0.0, 1e-6, 1.005e-4, 1.0 / 14.0, MAX_UNITS] {
-            assert_eq!(describe(units), None, "{units}");
+            assert!(!is_changed(units), "{units}");
         }
-        let text = describe(4e-7).expect("rounded to nothing");
-        assert!(text.starts_with("is rounded to 0, in steps of 0.000001;"), "{text}");
+        let step = Energy::from_micro(1).decimal_units();
+        assert!(ROUNDING_RULE.contains(&format!("multiples of {step};")), "{step}");
     }
 
     #[test]

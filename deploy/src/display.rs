@@ -260,7 +260,11 @@ fn run_message(
     let (tti, joined) = (load(&progress.next_tti), load(&progress.joined_devices));
     let is_paused = progress.is_paused.load(Ordering::Relaxed);
     match (tti, is_paused, joined) {
-        (0, true, _) => return vec!["paused before TTI 0; resume with `reveille clock resume`".to_owned()],
+        (0, true, _) => {
+            return ["paused before TTI 0", "resume with `reveille clock resume`"]
+                .map(str::to_owned)
+                .to_vec();
+        }
         (0, false, 0) => return vec!["starting".to_owned()],
         (0, false, _) => return vec![format!("joining: {joined} of {}", count_noun(devices, "device"))],
         _ => {}

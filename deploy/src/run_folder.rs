@@ -38,8 +38,8 @@ use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
 use crate::paths::check_output_folder;
 use crate::resume_mark::RESUME_MARK_FILE;
-use crate::run_address::{ADDRESS_FILE, run_name};
 use crate::run_tables;
+use crate::saved_address::{ADDRESS_FILE, run_name};
 use crate::scenario_files::{self, ScenarioFiles};
 use crate::summary::Summary;
 use crate::table_writer::TableWriter;
@@ -179,10 +179,10 @@ impl RunFolder {
         // The summary comes after all other files.
         self.tables.flush().with_context(write_error)?;
         self.write_devices(scenario, outcome).with_context(write_error)?;
-        if outcome.is_complete {
-            remove_files(&self.path, [ADDRESS_FILE].into_iter())?;
-        }
         replace(&self.path.join(SUMMARY_FILE), summary.to_json()?.as_bytes()).with_context(write_error)?;
+        if outcome.is_complete {
+            remove_files(&self.path, [ADDRESS_FILE].into_iter()).with_context(write_error)?;
+        }
         self.lock
             .take()
             .map_or(Ok(()), FolderLock::release)
@@ -303,6 +303,12 @@ fn lock_and_clear(path: &Path, force: bool) -> anyhow::Result<FolderLock> {
     }
     remove_run(path)?;
     Ok(lock)
+}
+
+/// Whether a file of this name holds results of a run, its scenario or its inputs.
+pub(crate) fn is_result_file(name: &str) -> bool {
+    let is_internal = [RESUME_MARK_FILE, ADDRESS_FILE].contains(&name);
+    name == SCENARIO_FILE || RESULT_FILES.contains(&name) && !is_internal
 }
 
 /// Whether a run writes or locks a file of this name in its folder.

@@ -36,6 +36,8 @@ struct RegistryEntry {
     tls: Option<PathBuf>,
     /// The run folder; other versions do not write it.
     folder: Option<PathBuf>,
+    /// The file of `--key-file`; other versions do not write it.
+    key_file: Option<PathBuf>,
     /// The subcommand of the base station, `up` or `bs`; other versions do not write it.
     command: Option<String>,
 }
@@ -92,18 +94,38 @@ impl Drop for Registration {
     }
 }
 
-/// Registers the base station of `run` in this process, with its `key`, its `endpoint`, its subcommand, the
-/// folder of its certificates and the run folder.
+/// The base station of a run, to be registered.
+pub(crate) struct RegisteredRun<'a> {
+    /// The name of the run.
+    pub run: &'a RunName,
+    /// The address of the base station.
+    pub endpoint: &'a str,
+    /// The run's key.
+    pub key: Option<Secret>,
+    /// The subcommand, `up` or `bs`.
+    pub command: &'static str,
+    /// The folder of certificates.
+    pub tls: Option<&'a Path>,
+    /// The file of `--key-file`.
+    pub key_file: Option<&'a Path>,
+    /// The run folder.
+    pub folder: &'a Path,
+}
+
+/// Registers the base station `registered` of this process.
 ///
 /// # Errors
 /// If the entry cannot be written.
-pub(crate) fn register(
-    run: &RunName,
-    endpoint: &str,
-    key: Option<Secret>,
-    (command, tls): (&str, Option<&Path>),
-    folder: &Path,
-) -> anyhow::Result<Registration> {
+pub(crate) fn register(registered: &RegisteredRun<'_>) -> anyhow::Result<Registration> {
+    let &RegisteredRun {
+        run,
+        endpoint,
+        key,
+        command,
+        tls,
+        key_file,
+        folder,
+    } = registered;
     let registry_folder = registry_folder();
     // Anything else at this path, such as a link, is refused by `check_folder`.
     if registry_folder.symlink_metadata().is_err() {
@@ -124,6 +146,7 @@ pub(crate) fn register(
         start_ticks: running_process_start(pid),
         key: key.map(|key| key.to_string()),
         tls: tls.map(std::path::absolute).transpose()?,
+        key_file: key_file.map(std::path::absolute).transpose()?,
         folder: Some(std::path::absolute(folder)?),
         command: Some(command.to_owned()),
     };
@@ -231,11 +254,14 @@ impl RegistryEntry {
     fn describe_end(&self) -> String {
         let folder = shell_word(self.folder.as_deref().unwrap_or(Path::new("FOLDER")));
         let command = self.command.as_deref().unwrap_or("up");
-        let tls = self.tls.as_deref();
-        let tls = tls.map_or_else(String::new, |tls| format!(" --tls {}", shell_word(tls)));
+        let option = |name: &str, path: &Option<PathBuf>| {
+            let path = path.as_deref();
+            path.map_or_else(String::new, |path| format!(" --{name} {}", shell_word(path)))
+        };
+        let options = option("tls", &self.tls) + &option("key-file", &self.key_file);
         format!(
             "run {}: its base station (pid {}) has ended; resume the run with `reveille {command} --resume \
-             {folder}{tls}`",
+             {folder}{options}`",
             self.run, self.pid,
         )
     }

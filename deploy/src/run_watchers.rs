@@ -10,7 +10,7 @@ use reveille_common::bus::FrameSink;
 use reveille_view::metrics::{MetricsObserver, ProcessStats, PrometheusMetrics};
 use reveille_view::recording::RecorderHandle;
 
-use crate::cli::OutputArgs;
+use crate::cli::{DriveArgs, OutputArgs};
 use crate::metrics_server::{self, MetricsServer};
 use crate::paths::check_output_path;
 use crate::recording::{RunRecording, is_growing};
@@ -63,6 +63,18 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
         metrics_server::check_can_listen("--metrics", address)?;
     }
     Ok(())
+}
+
+/// Checks, before a run folder exists, that the recording, the metrics and the dashboard of the run can be started.
+///
+/// # Errors
+/// If one of them cannot.
+pub(crate) fn check_observers(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
+    check(output)?;
+    match &drive.dashboard {
+        Some(address) => metrics_server::check_can_listen("--dashboard", address),
+        None => Ok(()),
+    }
 }
 
 impl RunWatchers {

@@ -676,7 +676,7 @@ def check_histogram(page):
         " const moment = await fetch(`api/tti/${tti}`).then((answer) => answer.json());"
         " if (moment.reported?.length && moment.woken?.some(({ outcome }) => outcome.Reported)) return tti; } })()"
     )
-    assert woken, "no woken device has reported"
+    assert woken is not None, "no woken device has reported"
     page.fill("#tti", woken)
     page.until(f"reveille.moment.tti === {woken}")
     page.centre("#histogram canvas")
@@ -806,7 +806,9 @@ def check_grid(page):
     """The charts leave no blank cell at any width."""
     for width in (1280, 1440, 1920, 2560):
         page.shape(width, 1000, "light")
-        time.sleep(0.3)
+        page.until(f"innerWidth === {width}")
+        # The layout is complete after two frames.
+        page.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
         rows = page.value(
             "(() => { const rows = {}, { right } = document.getElementById('charts').getBoundingClientRect();"
             " for (const chart of document.querySelectorAll('#charts .chart:not([hidden])')) { const box = chart.getBoundingClientRect();"

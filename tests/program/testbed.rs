@@ -5,8 +5,8 @@ use std::os::unix::fs::PermissionsExt;
 
 use reveille_tests::process::{FinishedProcess, Process, TestFolder, assert_refused};
 
-/// A program that answers as `docker` does: a base station with the status in the file `status`, and a device container
-/// with the processor limit in the file `limit`.
+/// A program that answers as `docker` does. The file `status` has the status of the base station, and the file `limit`
+/// the processor limit of a device container.
 const ENGINE: &str = r#"#!/bin/sh
 case "$*" in
   "compose version" | "version "*) echo 29 ;;

@@ -291,7 +291,7 @@ impl PrometheusMetrics {
             drop(self.handles.spent_energy.get_or_create(&StateLabels { state }));
         }
         for cause in MissCause::ALL {
-            drop(self.missed_events(Some(cause)));
+            drop(self.missed_events(cause));
         }
         // `update_devices` clears the request, but the first states are wanted before any request.
         self.update_devices(&[]);
@@ -318,16 +318,19 @@ impl PrometheusMetrics {
             self.handles.events.inc();
             self.handles.information.inc_by(record.tally.information());
             self.handles.wrong_activations.inc_by(record.tally.wrong_activations);
-            match record.delay() {
-                Some(delay) => self.handles.event_delays.observe(delay as f64),
-                None => drop(self.missed_events(record.miss_cause).inc()),
+            if let Some(delay) = record.delay() {
+                self.handles.event_delays.observe(delay as f64);
+            }
+            // Every missed event has a cause.
+            if let Some(cause) = record.miss_cause {
+                self.missed_events(cause).inc();
             }
         }
     }
 
     /// The counter of missed events with this cause.
-    fn missed_events(&self, cause: Option<MissCause>) -> impl Deref<Target = Counter> {
-        let cause = cause.map_or("unknown", MissCause::name);
+    fn missed_events(&self, cause: MissCause) -> impl Deref<Target = Counter> {
+        let cause = cause.name();
         self.handles.missed_events.get_or_create(&CauseLabels { cause })
     }
 

@@ -17,7 +17,7 @@ use super::layers::Merged;
 use super::names::{to_float, to_integer};
 use super::origins::{ValueOrigin, ValueOrigins};
 use super::value::{FieldRepr, FieldValue};
-use crate::units::{Energy, describe_rounding};
+use crate::units::{Energy, ROUNDING_RULE, is_changed_by_rounding};
 
 /// Settings that [`crate::declare!`] declares and reads.
 pub trait Settings: Sized {
@@ -179,8 +179,11 @@ impl<'a> FieldReader<'a> {
                 let units = to_float(value).ok_or_else(|| refuse(&format_value(value)))?;
                 let energy = Energy::from_units(units).filter(|energy| !is_positive || *energy > Energy::ZERO);
                 let energy = energy.ok_or_else(|| refuse(&units))?;
-                if let Some(rounding) = describe_rounding(units, energy.units()) {
-                    self.warn(format!("{path} = {units} {rounding}"));
+                if is_changed_by_rounding(units, energy.units()) {
+                    let rounded = energy.units();
+                    self.warn(format!(
+                        "{path} = {units} is rounded to {rounded}, since {ROUNDING_RULE}"
+                    ));
                 }
                 T::from_value(FieldValue::Energy(energy))
             }

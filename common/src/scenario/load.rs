@@ -134,6 +134,9 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|preset| preset.name)
 }
 
+/// The fix for a file that is no scenario.
+const OTHER_SOURCE: &str = "name a scenario file or, for a recording, the folder of its run";
+
 fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
     let refused = |error: io::Error| ScenarioError::Read {
         path: path.to_owned(),
@@ -146,11 +149,11 @@ fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, Sce
         FileError::TooLong { max_bytes, .. } => ScenarioError::Syntax {
             name: source.to_owned(),
             line: 1,
-            reason: format!("longer than {max_bytes} bytes"),
+            reason: format!("longer than {max_bytes} bytes; {OTHER_SOURCE}"),
         },
     })?;
     String::from_utf8(bytes).map_err(|_| {
-        let cause = "it is not UTF-8 text; name a scenario file or, for a recording, the folder of its run";
+        let cause = format!("it is not UTF-8 text; {OTHER_SOURCE}");
         refused(io::Error::new(io::ErrorKind::InvalidData, cause))
     })
 }

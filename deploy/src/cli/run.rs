@@ -324,11 +324,11 @@ pub(crate) struct UpArgs {
     /// process per device [default: 4, or N if that is less].
     #[arg(long, short = 'P', value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub processes: Option<u32>,
-    /// Run name on the bus [default: the name of the run folder; with --resume, the name before].
+    /// Run name on the bus [default: the name of the run folder; with --resume, the earlier name].
     #[arg(long)]
     pub run: Option<RunName>,
     /// Endpoint at which the base station listens; port 0 selects a free port [default: tcp/127.0.0.1:0; with --resume,
-    /// the endpoint before, if it is free].
+    /// the earlier endpoint, if it is free].
     #[arg(long)]
     pub listen: Option<String>,
     /// Disable device-process tuning (for benchmarks).
@@ -351,11 +351,11 @@ pub(crate) struct BsArgs {
     /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Run name on the bus; device processes must give the same name [default with --resume: the name before].
+    /// Run name on the bus; device processes must give the same name [default with --resume: the earlier name].
     #[arg(long, required_unless_present = "resume")]
     pub run: Option<RunName>,
     /// Endpoint at which the base station listens: tcp/ADDRESS:PORT, or tls/ADDRESS:PORT with --tls [default:
-    /// tcp/127.0.0.1:7447; with --resume, the endpoint before].
+    /// tcp/127.0.0.1:7447; with --resume, the earlier endpoint].
     #[arg(long)]
     pub listen: Option<String>,
     /// End with an error unless all devices have joined within this time [default: no limit].

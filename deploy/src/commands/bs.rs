@@ -38,9 +38,10 @@ use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::policy_process::PolicyProcess;
 use crate::policy_source::{PolicySource, select_policy_source};
 use crate::resume_mark::ResumeMarkWriter;
-use crate::run_address::RunAddress;
 use crate::run_folder::RunFolder;
-use crate::run_watchers::RunWatchers;
+use crate::run_registry::RegisteredRun;
+use crate::run_watchers::{RunWatchers, check_observers};
+use crate::saved_address::SavedAddress;
 use crate::signals::{SignalMode, Signals, run_on_thread};
 use crate::summary::{Summary, Timing};
 use crate::{file_limits, key, recording, run_registry, tls};
@@ -67,9 +68,11 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
-    let earlier = RunAddress::of_resumed(args.output.resume.as_deref());
-    let run = earlier.run_of_folder(args.run.as_ref(), args.output.resume.as_deref())?;
-    let listen = earlier.bs_listen(args.listen.as_deref(), DEFAULT_LISTEN);
+    let earlier = SavedAddress::of_resumed(args.output.resume.as_deref());
+    // Without --resume, --run is required.
+    let resumed_folder = args.output.resume.as_deref().unwrap_or(Path::new(""));
+    let run = earlier.run_in(args.run.as_ref(), resumed_folder)?;
+    let listen = earlier.listen(args.listen.as_deref(), DEFAULT_LISTEN, false);
     let endpoint = Endpoint {
         address: listen,
         tls: tls_files.as_ref(),
@@ -106,6 +109,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             command: "bs",
             run: &run,
             tls: args.tls.as_deref(),
+            key_file: args.key_file.as_deref(),
             scenario: &scenario,
             settings,
             output: &args.output,
@@ -134,6 +138,8 @@ pub(crate) struct RunService<'a> {
     pub run: &'a RunName,
     /// The folder of certificates, if the bus is encrypted.
     pub tls: Option<&'a Path>,
+    /// The file of `--key-file`.
+    pub key_file: Option<&'a Path>,
     /// The scenario.
     pub scenario: &'a Scenario,
     /// Server settings of the run. The mark of a resumed run replaces `window_ttis`.
@@ -157,18 +163,6 @@ pub(crate) struct RunService<'a> {
     pub signals: &'a Signals,
     /// Start time of the command.
     pub started: Instant,
-}
-
-/// Checks, before a run folder exists, that the recording, the metrics and the dashboard of the run can be started.
-///
-/// # Errors
-/// If one of them cannot.
-pub(crate) fn check_observers(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()> {
-    crate::run_watchers::check(output)?;
-    match &drive.dashboard {
-        Some(address) => crate::metrics_server::check_can_listen("--dashboard", address),
-        None => Ok(()),
-    }
 }
 
 /// Returns the settings that the command line requests, with windows of `window` TTIs. The caller sets `join_timeout`,
@@ -482,13 +476,15 @@ async fn start_observation(service: &RunService<'_>, folder: &Path) -> anyhow::R
         progress,
         ..
     } = service;
-    let registration = run_registry::register(
+    let registration = run_registry::register(&RegisteredRun {
         run,
-        bus.endpoint(),
-        service.settings.run_key,
-        (service.command, service.tls),
+        endpoint: bus.endpoint(),
+        key: service.settings.run_key,
+        command: service.command,
+        tls: service.tls,
+        key_file: service.key_file,
         folder,
-    );
+    });
     if let Err(error) = &registration {
         tracing::warn!(
             "{error:#}: `clock` and `inspect` cannot find this run; give them --run {run} and --connect {}, or set \

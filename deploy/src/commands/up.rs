@@ -13,15 +13,16 @@ use reveille_common::keys::RunName;
 use reveille_common::message::HostOffer;
 use reveille_device::host::{self, HostConfig, HostError};
 
-use super::bs::{RunService, check_observers, serve_run, server_settings};
+use super::bs::{RunService, serve_run, server_settings};
 use super::device::CHILD_PATIENCE;
 use super::resolve_scenario::resolve_started_run;
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
 use crate::policy_source::select_policy_source;
-use crate::run_address::RunAddress;
 use crate::run_folder::RunFolder;
+use crate::run_watchers::check_observers;
+use crate::saved_address::SavedAddress;
 use crate::signals::{SignalMode, Signals};
 use crate::summary::Timing;
 use crate::supervisor::{Supervisor, SupervisorConfig};
@@ -51,8 +52,8 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     let policy_source = select_policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
     let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
-    let earlier = RunAddress::of_resumed(args.output.resume.as_deref());
-    let listen = earlier.up_listen(args.listen.as_deref(), DEFAULT_LISTEN);
+    let earlier = SavedAddress::of_resumed(args.output.resume.as_deref());
+    let listen = earlier.listen(args.listen.as_deref(), DEFAULT_LISTEN, true);
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
     bus::resolve_listen_endpoint(listen)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
@@ -70,6 +71,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
                 command: "up",
                 run: &run,
                 tls: None,
+                key_file: None,
                 scenario: &scenario,
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
@@ -93,14 +95,11 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
 /// Opens the bus at the address `listen`, under the name `--run`, the name of the resumed run, or the name of `folder`.
 async fn open_bus(
     args: &UpArgs,
-    (earlier, listen): (&RunAddress, &str),
+    (earlier, listen): (&SavedAddress, &str),
     processes: u32,
     folder: &RunFolder,
 ) -> anyhow::Result<(Bus, RunName)> {
-    let run = match earlier.run(args.run.as_ref()) {
-        Some(run) => run,
-        None => folder.name().parse().context("the run folder's name")?,
-    };
+    let run = earlier.run_in(args.run.as_ref(), folder.path())?;
     let bus = Bus::listen_for_hosts(processes, listen, run.clone()).await?;
     earlier.write(folder.path(), args.run.as_ref(), (listen, bus.endpoint()))?;
     Ok((bus, run))

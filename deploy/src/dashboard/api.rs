@@ -172,8 +172,8 @@ fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
 pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
     let mut about = served.feed.about().clone();
     about["controls"] = json!(served.bus.is_some());
-    // A link sends no token.
-    about["has_links"] = json!(served.address.ip().is_loopback());
+    // A browser sends no token when it follows a link.
+    about["needs_token"] = json!(!served.address.ip().is_loopback());
     Json(about)
 }
 

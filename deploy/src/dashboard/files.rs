@@ -1,10 +1,11 @@
 //! The files of a run folder, or the recording, for download; `page/files.js` links them.
 //!
 //! A requested name is compared with the names of the listing and never joined to a path. The listing holds regular
-//! files that a run writes, so that no request reaches another file.
+//! files with results of the run, so that no request reaches another file.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use axum::Json;
@@ -12,11 +13,12 @@ use axum::body::Body;
 use axum::extract::{Path as UrlPath, State};
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
+use rustix::fs::OFlags;
 use serde_json::{Value, json};
 
 use super::api::{ApiError, ApiResult, ApiState};
 use crate::recording::RECORDING_EXTENSION;
-use crate::run_folder::is_run_file;
+use crate::run_folder::is_result_file;
 use crate::scenario_files;
 
 /// Bytes that are read at a time.
@@ -43,7 +45,7 @@ fn list(path: &Path) -> io::Result<Vec<ServedFile>> {
                 .extension()
                 .is_some_and(|end| end == RECORDING_EXTENSION)
         };
-        let mut files = regular_files(path, "", |name| is_run_file(name) || is_recording(name))?;
+        let mut files = regular_files(path, "", |name| is_result_file(name) || is_recording(name))?;
         let copies = path.join(scenario_files::FOLDER);
         // A symbolic link has the metadata of a link.
         if copies.symlink_metadata().is_ok_and(|found| found.is_dir()) {
@@ -56,7 +58,8 @@ fn list(path: &Path) -> io::Result<Vec<ServedFile>> {
     }
     Ok(vec![ServedFile {
         name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        path: path.to_owned(),
+        // The user may name a link to the recording.
+        path: path.canonicalize()?,
         bytes: metadata.len(),
     }])
 }
@@ -90,7 +93,12 @@ fn open(path: &Path, name: &str) -> io::Result<File> {
             "not a file of the run; use a name of api/files",
         )
     };
-    File::open(found.ok_or_else(unknown)?.path)
+    // Not followed, in case a link has replaced the file since.
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(found.ok_or_else(unknown)?.path)
 }
 
 /// The path of the run's files.

@@ -16,7 +16,7 @@ use reveille_lab::stats::Estimate;
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::chart_grid::{ChartGrid, ChartRow};
 use super::scale::Scale;
-use super::study::{half_width_cell, runs_in_words};
+use super::study::{half_width_cell, possible_values, runs_in_words};
 use super::style::Style;
 
 /// Name in commands and files.
@@ -240,12 +240,9 @@ fn chart(points: &[RobustnessPoint], impairment: &Impairment, (metric, metric_na
         .map(|policy| policy_series(&of_impairment, policy, metric))
         .collect();
     let chart_points = || series.iter().flat_map(|line| &line.points);
-    // No metric of `METRICS` can be negative, whatever an interval says.
     let interval_ends = |point: &ChartPoint| {
-        [
-            (point.y - finite_or_zero(point.y_half_width)).max(0.0),
-            point.y + finite_or_zero(point.y_half_width),
-        ]
+        let half_width = finite_or_zero(point.y_half_width);
+        possible_values(metric, [point.y - half_width, point.y + half_width])
     };
     let largest_level = levels.iter().copied().fold(0.0, f64::max);
     let (low, high) = chart_points()

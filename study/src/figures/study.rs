@@ -212,8 +212,7 @@ impl PaperFigure {
             } else {
                 0.0
             };
-            // No metric in `PAPER_FIGURES` can be negative, whatever an interval says.
-            [(p.y - half_width).max(p.y.min(0.0)), p.y + half_width]
+            possible_values(self.metric, [p.y - half_width, p.y + half_width])
         };
         let measured = series.iter().flat_map(|s| &s.points);
         let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
@@ -331,6 +330,13 @@ pub(super) fn csv_cell(text: &str) -> String {
     } else {
         text.to_owned()
     }
+}
+
+/// Returns the part of an interval of `metric` that its values can have: no drawn metric is negative, and none in % is
+/// above 100.
+pub(super) fn possible_values(metric: &str, [low, high]: [f64; 2]) -> [f64; 2] {
+    let most = if metric.ends_with("_pct") { 100.0 } else { f64::INFINITY };
+    [low.max(0.0), high.min(most)]
 }
 
 /// Formats the half-width of an interval as a CSV cell; empty for NaN, as after a single run.

@@ -6,9 +6,9 @@
 //! this number or 0 (four bytes), the TTI (eight bytes), and the text of `inspect tail` after its length in bytes (two
 //! bytes). `dissector.lua` in this folder repeats the offsets and the link type: change both.
 //!
-//! The order of [`MessageKind::ALL`] is thus part of the file format: a script dissects only files of the same
-//! [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), the first byte of each payload, which changes with this
-//! order. `tests/recordings/check.py` reads the packets with tshark.
+//! The header and the order of [`MessageKind::ALL`] are thus part of the file format. A script dissects only files of
+//! the same [`WIRE_VERSION`](reveille_common::codec::WIRE_VERSION), the first byte of each payload, and of the same
+//! program: write both again after an update. `tests/recordings/check.py` reads the packets with tshark.
 
 use core::time::Duration;
 use std::io::Write;

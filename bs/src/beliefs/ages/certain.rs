@@ -32,8 +32,8 @@ impl MaskDisc {
         }
     }
 
-    /// Returns the rows of the square in `cells`, which has `stride` cells per row, each with its mask. Unused rows
-    /// follow the area, so the last row is complete up to the next one.
+    /// Returns the rows of the square in `cells`, which has `stride` cells per row, each with its mask. The unused rows
+    /// after the area make every slice of 16 whole rows valid.
     #[inline]
     fn rows<'a, T>(
         &'a self,
@@ -72,7 +72,7 @@ fn pass_tti(
     *worths = array::from_fn(|i| ((worths[i] + growths[i]) & !covered[i] | covered[i] & 1) & inside[i]);
 }
 
-/// Returns a byte of all ones or zeros.
+/// Returns a byte of all ones if `condition`, otherwise of zeros.
 #[inline]
 fn all_ones_if(condition: bool) -> u8 {
     u8::from(condition).wrapping_neg()
@@ -90,6 +90,12 @@ fn sum_bytes(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
         let [first, second]: [u64; 2] = pulp::cast(rows.fold(zero, add_row));
         return (first + second) as u32;
     }
+    sum_bytes_portably(rows)
+}
+
+/// Returns the sum that [`sum_bytes`] describes, on any CPU.
+#[inline]
+fn sum_bytes_portably(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
     // The columns are summed in parallel: a sum of 16 bytes fits 16 bits.
     let add_row = |sums: [u16; DISC_SIDE], row: [u8; DISC_SIDE]| array::from_fn(|i| sums[i] + u16::from(row[i]));
     let column_sums = rows.fold([0; DISC_SIDE], add_row);
@@ -207,5 +213,20 @@ impl CertainAges {
 
     pub(super) fn age(&self, cell: usize) -> u8 {
         self.ages[cell]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_bytes_are_summed() {
+        let rows: [[u8; DISC_SIDE]; DISC_SIDE] = array::from_fn(|i| array::from_fn(|j| (i * 97 + j * 41) as u8));
+        for rows in [&rows[..], &rows[..1], &[], &[[u8::MAX; DISC_SIDE]; DISC_SIDE]] {
+            let expected: u32 = rows.as_flattened().iter().copied().map(u32::from).sum();
+            assert_eq!(sum_bytes(rows.iter().copied()), expected);
+            assert_eq!(sum_bytes_portably(rows.iter().copied()), expected);
+        }
     }
 }

@@ -19,7 +19,7 @@ use crate::declare::{
 };
 use crate::digits::format_significant;
 use crate::ids::{MAX_TTIS, Tti};
-use crate::units::{Energy, MAX_UNITS, describe_rounding};
+use crate::units::{Energy, MAX_UNITS, ROUNDING_RULE, is_changed_by_rounding};
 
 choices! {
     /// Behaviour after the last row of a trace.
@@ -308,10 +308,11 @@ fn scale_to_energy(
         let rows = values.len().max(1) as f64;
         let exact_mean = scale * values.iter().sum::<f64>() / rows;
         let rounded_mean = energies.iter().map(|energy| energy.units()).sum::<f64>() / rows;
-        if let Some(rounding) = describe_rounding(exact_mean, rounded_mean) {
+        if is_changed_by_rounding(exact_mean, rounded_mean) {
+            let [exact_mean, rounded_mean] = [exact_mean, rounded_mean].map(|mean| format_significant(mean, 3));
             warn(format!(
-                "the mean of column `{name}` of the trace, {} per TTI, {rounding}",
-                format_significant(exact_mean, 3)
+                "the mean of column `{name}` of the trace changes from {exact_mean} to {rounded_mean} per TTI, since \
+                 {ROUNDING_RULE}"
             ));
         }
         Ok(energies)

@@ -33,7 +33,7 @@ fn a_mean_that_changes_by_rounding_is_warned_of() {
     // Values below half a micro-unit become 0, and others keep the mean.
     let (values, warnings) = scale_column("ghi\n1\n3\n", 4e-7);
     assert_eq!(values.expect("valid"), [[Energy::ZERO, Energy::from_micro(1)]]);
-    let expected = "the mean of column `ghi` of the trace, 0.0000008 per TTI, is rounded to 0.0000005";
+    let expected = "the mean of column `ghi` of the trace changes from 0.0000008 to 0.0000005 per TTI, since energies";
     assert!(warnings.len() == 1 && warnings[0].starts_with(expected), "{warnings:?}");
     assert_eq!(scale_column("ghi\n1\n999\n", 4e-7).1, [""; 0]);
 }

@@ -28,7 +28,7 @@ pub(super) struct FrameStream {
     /// The losses of the base station that were followed by its return.
     survived_losses: u64,
     /// Whether the base station has left the bus. The last frames can follow.
-    pub(super) has_ended: bool,
+    pub(super) is_bs_lost: bool,
     /// Whether a message of the virtual clock has ended the run.
     pub(super) is_run_over: bool,
     /// The number of the next frame, once one has arrived.
@@ -44,7 +44,7 @@ impl FrameStream {
             batches,
             bs_presence,
             survived_losses: 0,
-            has_ended: false,
+            is_bs_lost: false,
             is_run_over: false,
             next_frame_number: None,
             dropped_frames: 0,
@@ -52,10 +52,10 @@ impl FrameStream {
     }
 
     /// Receives the next frames and the number of frames dropped before them. Returns `None` once the base station has
-    /// left the bus.
+    /// left the bus and its last frames have been returned.
     pub(super) async fn next(&mut self) -> Option<(Vec<Frame>, u64)> {
         let survived_losses = self.survived_losses;
-        if !self.has_ended {
+        if !self.is_bs_lost {
             let batch = tokio::select! {
                 // Batches that have arrived come before the end of the run.
                 biased;
@@ -65,7 +65,7 @@ impl FrameStream {
             match batch {
                 Some((losses, batch)) if losses == survived_losses => return Some(self.count_gap(batch)),
                 Some((_, batch)) => return self.take_late(batch),
-                None => self.has_ended = true,
+                None => self.is_bs_lost = true,
             }
         }
         let last_batch = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv()).await;
@@ -73,11 +73,12 @@ impl FrameStream {
         self.take_late(batch)
     }
 
-    /// Takes a batch that arrived after the loss of the base station. Returns its frames, unless the base station is
-    /// back: then it may be a batch of the next connection, whose frames the catch-up repeats.
+    /// Takes a batch that arrived after the loss of the base station. Returns its frames, unless the base station has
+    /// returned since: then it may be a batch of a later connection, whose frames the catch-up repeats.
     fn take_late(&mut self, batch: FrameBatch) -> Option<(Vec<Frame>, u64)> {
-        self.has_ended = true;
-        if self.bs_presence.borrow().is_present {
+        self.is_bs_lost = true;
+        let presence = *self.bs_presence.borrow();
+        if presence.is_present || presence.losses > self.survived_losses + 1 {
             self.note_end(&batch);
             return None;
         }
@@ -110,8 +111,8 @@ impl FrameStream {
         self.is_run_over |= batch.frames.iter().any(is_last);
     }
 
-    /// After the end: waits until the base station is on the bus again; false if a late message ends the run. Batches
-    /// that came before are dropped.
+    /// After a loss: waits until the base station is on the bus again; false if a late message ends the run. Drops the
+    /// batches that arrive before the return.
     pub(super) async fn wait_for_bs(&mut self) -> anyhow::Result<bool> {
         loop {
             let batch = tokio::select! {
@@ -132,7 +133,7 @@ impl FrameStream {
 
     /// Continues after the return of the base station. Frames sent before are lost.
     pub(super) const fn resume(&mut self) {
-        (self.has_ended, self.next_frame_number) = (false, None);
+        (self.is_bs_lost, self.next_frame_number) = (false, None);
     }
 }
 
@@ -152,6 +153,7 @@ mod tests {
     impl Bus {
         /// Sends the frames `first` to `last`.
         fn send(&self, first: u64, last: u64) {
+            // Frames of a kind that does not end the run.
             let frames = (first..=last).map(|tti| Frame::new(Tti(tti), (), &ClockMessage::Dismiss));
             let frames = frames
                 .map(|frame| Frame {
@@ -196,7 +198,7 @@ mod tests {
         bus.send(4, 4);
         assert_eq!(next(&mut stream).await, Some((vec![0, 1], 0)));
         assert_eq!(next(&mut stream).await, Some((vec![2, 3], 0)));
-        assert!(stream.has_ended);
+        assert!(stream.is_bs_lost);
         assert_eq!(next(&mut stream).await, Some((vec![4], 0)));
         assert_eq!(next(&mut stream).await, None);
         assert_eq!(stream.dropped_frames, 0);
@@ -207,10 +209,18 @@ mod tests {
         let (bus, mut stream) = connect();
         bus.send(0, 1);
         assert_eq!(next(&mut stream).await, Some((vec![0, 1], 0)));
-        for first in [7, 20] {
-            bus.set_present(false);
-            bus.set_present(true);
-            bus.send(first, first);
+        for (first, losses) in [(7, 1), (20, 2)] {
+            for _ in 0..losses {
+                bus.set_present(false);
+                bus.set_present(true);
+                bus.send(first, first);
+            }
+            // A connection that has ended again is not the one before the first loss either.
+            if losses == 2 {
+                bus.set_present(false);
+                assert_eq!(next(&mut stream).await, None, "frame {first} comes after two losses");
+                bus.set_present(true);
+            }
             assert_eq!(next(&mut stream).await, None, "frame {first} comes after a loss");
             assert!(stream.wait_for_bs().await.expect("a sender"));
             stream.resume();

@@ -141,9 +141,9 @@ impl Live {
         Ok(reply.ok_or(Interrupted::WITHOUT_RESULTS)??)
     }
 
-    /// Whether the run has ended.
+    /// Whether the base station has left the bus.
     pub(crate) const fn has_ended(&self) -> bool {
-        self.frames.has_ended
+        self.frames.is_bs_lost
     }
 
     /// The number of frames dropped because this reader was too slow.
@@ -239,7 +239,7 @@ impl Live {
     pub(crate) fn check_ran_to_end(&self) -> anyhow::Result<()> {
         let (reached, ttis) = (self.reached, self.status.ttis);
         anyhow::ensure!(
-            !self.frames.has_ended || reached.0 >= ttis,
+            !self.frames.is_bs_lost || reached.0 >= ttis,
             "the run was interrupted or failed before TTI {reached} of {ttis}"
         );
         Ok(())

@@ -133,15 +133,13 @@ impl SweepDisplay {
         let elapsed = now.duration_since(self.started_at);
         self.bar.set_length(planned_runs);
         self.bar.set_position(finished_runs);
-        let label = self.labels[self.current_cell.load(Ordering::Relaxed)].clone();
+        let label = &self.labels[self.current_cell.load(Ordering::Relaxed)];
+        let mut parts: Vec<String> = label.split(", ").map(str::to_owned).collect();
         // The first runs alone do not measure a rate.
-        let parts = if finished_runs == 0 || elapsed < LEAST_MEASURED {
-            vec![label]
-        } else {
-            let time_left = format!("{:#} left", HumanDuration(self.remaining_time()));
-            let speed = display::format_speed(device_ttis / elapsed.as_secs_f64());
-            vec![time_left, label, speed]
-        };
+        if finished_runs > 0 && elapsed >= LEAST_MEASURED {
+            parts.insert(0, format!("{:#} left", HumanDuration(self.remaining_time())));
+            parts.push(display::format_speed(device_ttis / elapsed.as_secs_f64()));
+        }
         let used = display::BAR_COLUMNS + format!("{finished_runs}/{planned_runs} runs  ").len();
         self.bar.set_message(display::join_fitting(&parts, used));
     }

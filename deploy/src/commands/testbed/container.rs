@@ -63,7 +63,7 @@ impl Container {
         );
         ensure!(
             status.starts_with("Up"),
-            "{service}: the container does not run ({status}); continue the run with `reveille testbed up {folder}`"
+            "{service}: the container does not run ({status}); start it with `reveille testbed up {folder}`"
         );
         Ok(())
     }
@@ -95,12 +95,12 @@ mod tests {
             ),
             (
                 "Exited (130) 2 hours ago",
-                "bs: the container does not run (Exited (130) 2 hours ago); continue the run with \
-                 `reveille testbed up my`",
+                "bs: the container does not run (Exited (130) 2 hours ago); start it with `reveille testbed \
+                 up my`",
             ),
             (
                 "Created",
-                "bs: the container does not run (Created); continue the run with `reveille testbed up my`",
+                "bs: the container does not run (Created); start it with `reveille testbed up my`",
             ),
             (
                 "Restarting (1) 2 seconds ago",

@@ -442,9 +442,12 @@ impl Docker {
     }
 }
 
-/// The limit of processor cores under the fault `slow`, which never raises the `declared` limit.
+/// The smallest limit of processor cores that the engine accepts.
+const LEAST_CPUS: f64 = 0.01;
+
+/// The limit of processor cores under the fault `slow`: at most half of the `declared` limit.
 fn slow_cpus(declared: Option<f64>) -> f64 {
-    declared.map_or(SLOW_CPUS, |cpus| cpus.min(SLOW_CPUS))
+    declared.map_or(SLOW_CPUS, |cpus| SLOW_CPUS.min(cpus / 2.0).max(LEAST_CPUS))
 }
 
 /// Whether a limit of processor cores, in billionths, is the one of the fault `slow`, and not the `declared` limit.

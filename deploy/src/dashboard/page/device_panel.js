@@ -58,7 +58,11 @@ export async function showDevice() {
   byId("state-legend").replaceChildren(...seen.map((code) => stateEntry(STATE_OF_CODE[code], nameOfCode(code))));
   chart.most = run.e_max[device] * 1.04;
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
-  if (!history.totals) return;
+  ledger = [];
+  if (!history.totals) {
+    byId("ledger").replaceChildren();
+    return;
+  }
   byId("ledger-title").textContent = `Energy since TTI 0, up to TTI ${ttiText(tti)}`;
   const rows = ledgerRows(history.totals);
   ledger = rows.map((row) => [device, ...row]);

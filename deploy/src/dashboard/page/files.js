@@ -9,8 +9,8 @@ function fileLink({ name, bytes }) {
   const href = `api/files/${name.split("/").map(encodeURIComponent).join("/")}`, file = name.split("/").at(-1);
   const link = element("a", { href, download: file, textContent: name });
   const note = element("span", { className: "note" }, ` ${shortNumber(bytes)} bytes`);
-  // Other machines need the token, which a link does not send.
-  if (!page.run.has_links) {
+  // A link does not send the token, which a dashboard beyond loopback requires.
+  if (page.run.needs_token) {
     link.onclick = (event) => {
       event.preventDefault();
       const showError = (error) => { note.textContent = ` ${error.message}`; };

@@ -5,6 +5,7 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::collections::binary_heap::PeekMut;
+use std::sync::Arc;
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
@@ -27,7 +28,8 @@ pub struct DeviceSelector {
     gains_alone: Vec<f64>,
     /// Gain at the start less the price by device; negative infinity for a chosen device.
     nets_alone: Vec<f64>,
-    neighbours: Option<NeighbourLists>,
+    /// `None` if the lists would be too long: each query then searches the neighbours.
+    neighbours: Option<Arc<NeighbourLists>>,
     /// Chosen devices in order; `None` for a device removed without a replacement.
     chosen: Vec<Option<u32>>,
 }
@@ -37,7 +39,7 @@ impl DeviceSelector {
     pub fn new(positions: &[Point], area: Area, d_max: f64) -> Self {
         let buckets = Buckets::new(positions, area, d_max);
         Self {
-            neighbours: NeighbourLists::new(positions, &buckets, d_max),
+            neighbours: NeighbourLists::new(positions, &buckets, d_max, MAX_LIST_ENTRIES).map(Arc::new),
             buckets,
             d_max,
             positions: positions.to_vec(),
@@ -121,7 +123,8 @@ impl DeviceSelector {
     }
 
     /// Returns the device with the largest positive worth less price among device `j`, which was just removed, and the
-    /// others within d_max. Ties go to j, then to the lowest number. `nets_alone` has j as chosen.
+    /// others within d_max. Ties go to j, then to the lowest number. `nets_alone[j]` is still negative infinity,
+    /// so j is no candidate among them.
     fn best_around(&self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
         let net_of_j = ages.gain(j) - prices[j];
         let (mut best_net, mut best) = if net_of_j > 0.0 {
@@ -155,7 +158,7 @@ impl DeviceSelector {
     }
 }
 
-/// Most entries of [`NeighbourLists`], 16 MiB. Larger deployments search the neighbours of a device each time.
+/// Most entries of [`NeighbourLists`], 16 MiB.
 const MAX_LIST_ENTRIES: usize = 1 << 22;
 
 /// The devices within d_max of each device, itself included.
@@ -167,16 +170,17 @@ struct NeighbourLists {
 }
 
 impl NeighbourLists {
-    /// Creates the lists; `None` if they have more than [`MAX_LIST_ENTRIES`].
-    fn new(positions: &[Point], buckets: &Buckets, d_max: f64) -> Option<Self> {
+    /// Creates the lists; `None` if they have more than `max_entries`.
+    fn new(positions: &[Point], buckets: &Buckets, d_max: f64, max_entries: usize) -> Option<Self> {
         let (mut starts, mut devices) = (vec![0], Vec::new());
         for &position in positions {
             buckets.within(position, d_max, |i, _| devices.push(i as u32));
-            if devices.len() > MAX_LIST_ENTRIES {
+            if devices.len() > max_entries {
                 return None;
             }
             starts.push(devices.len() as u32);
         }
+        devices.shrink_to_fit();
         Some(Self { starts, devices })
     }
 

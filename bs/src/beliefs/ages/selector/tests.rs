@@ -151,3 +151,25 @@ fn a_device_whose_price_exceeds_any_gain_is_not_chosen() {
         "30 TTIs later, gains exceed the prices"
     );
 }
+
+#[test]
+fn choices_with_and_without_lists_of_neighbours_are_equal() {
+    for kind in KINDS {
+        let (positions, mut ages) = positions_and_ages(kind, 60, 3);
+        let mut with_lists = DeviceSelector::new(&positions, AREA, D_MAX);
+        let lists = |max_entries| NeighbourLists::new(&positions, &with_lists.buckets, D_MAX, max_entries);
+        let entries = lists(usize::MAX).expect("no limit").devices.len();
+        assert!(lists(entries).is_some() && lists(entries - 1).is_none());
+        let mut without_lists = DeviceSelector {
+            neighbours: None,
+            ..with_lists.clone()
+        };
+        let mut stream = Stream::new(3, Purpose::Epicentre, 0);
+        for k in 0..40 {
+            let prices: Vec<f64> = (0..60).map(|_| 20.0 + 90.0 * stream.unit()).collect();
+            let chosen = without_lists.choose(&mut ages.clone(), &prices);
+            assert_eq!(with_lists.choose(&mut ages, &prices), chosen, "{kind:?}, TTI {k}");
+            ages.advance(k % 7 == 6);
+        }
+    }
+}

@@ -1,6 +1,7 @@
 //! The name and the address of a run on the bus: `address.json` in the run folder, so that clients that wait for a
 //! killed run find the resumed run without further options. `up` and `bs` write it; a complete run has none.
 
+use std::io;
 use std::path::Path;
 
 use anyhow::Context;
@@ -15,54 +16,65 @@ pub(crate) const ADDRESS_FILE: &str = "address.json";
 /// The name and the address of a run.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
-pub(crate) struct RunAddress {
+pub(crate) struct SavedAddress {
     /// The name, if `--run` gave it.
     run: Option<String>,
     /// The endpoint of the base station.
     listen: Option<String>,
-    /// Whether the port was a free one that `up` chose.
-    has_chosen_port: bool,
+    /// Whether the port was any free one.
+    has_free_port: bool,
 }
 
-impl RunAddress {
-    /// Reads the address of the run that `resume` names; empty for a new run, or without a valid file.
+impl SavedAddress {
+    /// Reads the address of the run that `resume` names; empty for a new run. Without a valid file it is empty too, and
+    /// a warning names the cause.
     pub(crate) fn of_resumed(resume: Option<&Path>) -> Self {
-        let text = resume.and_then(|folder| std::fs::read(folder.join(ADDRESS_FILE)).ok());
-        text.and_then(|text| serde_json::from_slice(&text).ok())
-            .unwrap_or_default()
+        let Some(path) = resume.map(|folder| folder.join(ADDRESS_FILE)) else {
+            return Self::default();
+        };
+        let address = match std::fs::read(&path) {
+            Ok(text) => serde_json::from_slice(&text).map_err(io::Error::from),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(error),
+        };
+        address.unwrap_or_else(|error| {
+            tracing::warn!(
+                "{}: {error}; resuming with the default name and address, unless --run and --listen give others",
+                path.display()
+            );
+            Self::default()
+        })
     }
 
-    /// Returns the name that the option `--run` or, for a resumed run, its folder gives.
-    pub(crate) fn run(&self, option: Option<&RunName>) -> Option<RunName> {
-        option.cloned().or_else(|| self.run.as_ref()?.parse().ok())
-    }
-
-    /// Returns the name as [`Self::run`] does; otherwise the one of the resumed `folder`.
+    /// Returns the name that the option `--run` or, for a resumed run, this address gives; otherwise the name of the
+    /// run `folder`.
     ///
     /// # Errors
-    /// If there is no name and no folder.
-    pub(crate) fn run_of_folder(&self, option: Option<&RunName>, folder: Option<&Path>) -> anyhow::Result<RunName> {
+    /// If that is not a valid name.
+    pub(crate) fn run_in(&self, option: Option<&RunName>, folder: &Path) -> anyhow::Result<RunName> {
         match self.run(option) {
             Some(run) => Ok(run),
-            None => Ok(run_name(folder.context("--run: the name of the run is missing")?).parse()?),
+            None => run_name(folder).parse().context("the run folder's name"),
         }
     }
 
-    /// Returns the address of `bs`: from its option, or the one of the resumed run unless `up` chose it.
-    pub(crate) fn bs_listen<'a>(&'a self, option: Option<&'a str>, default: &'a str) -> &'a str {
-        let given = self.listen.as_deref().filter(|_| !self.has_chosen_port);
-        option.or(given).unwrap_or(default)
+    fn run(&self, option: Option<&RunName>) -> Option<RunName> {
+        option.cloned().or_else(|| self.run.as_ref()?.parse().ok())
     }
 
-    /// Returns the address of `up`: from its option, or the one of the resumed run if this machine has it free.
-    pub(crate) fn up_listen<'a>(&'a self, option: Option<&'a str>, default: &'a str) -> &'a str {
+    /// Returns the endpoint to listen at: from its option, or the earlier one. `default` replaces an earlier endpoint
+    /// that is not free, if its port was a free one or `may_move`.
+    pub(crate) fn listen<'a>(&'a self, option: Option<&'a str>, default: &'a str, may_move: bool) -> &'a str {
         let Some(earlier) = self.listen.as_deref().filter(|_| option.is_none()) else {
             return option.unwrap_or(default);
         };
+        if !may_move && !self.has_free_port {
+            return earlier;
+        }
         match bus::resolve_listen_endpoint(earlier) {
             Ok(_) => earlier,
             Err(error) => {
-                if !self.has_chosen_port {
+                if !self.has_free_port {
                     tracing::warn!("{error}; listening at a free port instead; give another address with --listen");
                 }
                 default
@@ -85,7 +97,7 @@ impl RunAddress {
         let address = Self {
             run: self.run(run).map(|run| run.to_string()),
             listen: Some(endpoint.to_owned()),
-            has_chosen_port: listen.ends_with(":0") || is_earlier && self.has_chosen_port,
+            has_free_port: listen.ends_with(":0") || is_earlier && self.has_free_port,
         };
         let path = folder.join(ADDRESS_FILE);
         replace(&path, &serde_json::to_vec(&address)?).with_context(|| format!("cannot write {}", path.display()))
@@ -114,27 +126,31 @@ pub(crate) fn run_name(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use reveille_tests::process::TestFolder;
+
     use super::*;
 
     #[test]
     fn an_option_goes_before_the_address_of_the_resumed_run() {
-        let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
-        let taken = format!("tcp/{}", taken.local_addr().expect("bound"));
-        let given = RunAddress {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let endpoint = format!("tcp/{}", listener.local_addr().expect("bound"));
+        let given = SavedAddress {
             run: Some("field".to_owned()),
-            listen: Some(taken.clone()),
-            has_chosen_port: false,
+            listen: Some(endpoint.clone()),
+            has_free_port: false,
         };
-        let chosen = RunAddress {
-            listen: Some(taken.clone()),
-            has_chosen_port: true,
-            ..RunAddress::default()
+        let chosen = SavedAddress {
+            listen: Some(endpoint.clone()),
+            has_free_port: true,
+            ..SavedAddress::default()
         };
         let (option, default) = (Some("tcp/127.0.0.1:9"), "tcp/127.0.0.1:0");
-        assert_eq!(given.up_listen(option, default), "tcp/127.0.0.1:9");
-        assert_eq!(given.bs_listen(option, default), "tcp/127.0.0.1:9");
-        assert_eq!(given.bs_listen(None, default), taken);
-        assert_eq!(chosen.bs_listen(None, default), default);
+        for may_move in [true, false] {
+            assert_eq!(given.listen(option, default, may_move), "tcp/127.0.0.1:9");
+            assert_eq!(chosen.listen(None, default, may_move), default, "not free");
+        }
+        assert_eq!(given.listen(None, default, false), endpoint);
+        assert_eq!(given.listen(None, default, true), default, "not free");
         assert_eq!(given.run(None).map(|run| run.to_string()).as_deref(), Some("field"));
         let option = "other".parse().ok();
         assert_eq!(given.run(option.as_ref()), option);
@@ -142,34 +158,26 @@ mod tests {
     }
 
     #[test]
-    fn an_address_in_use_is_replaced_by_a_free_port() {
-        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
-        let address = RunAddress {
-            listen: Some(format!("tcp/{}", listener.local_addr().expect("bound"))),
-            ..RunAddress::default()
-        };
-        assert_eq!(address.up_listen(None, "tcp/127.0.0.1:0"), "tcp/127.0.0.1:0");
-        drop(listener);
-        assert_ne!(address.up_listen(None, "tcp/127.0.0.1:0"), "tcp/127.0.0.1:0");
-    }
-
-    #[test]
     fn an_address_is_read_back() {
-        let folder = std::env::temp_dir().join(format!("reveille-address-{}", std::process::id()));
+        let test_folder = TestFolder::new();
+        let folder = test_folder.join("run");
         std::fs::create_dir(&folder).expect("writable");
         let run = "field".parse().ok();
-        let new = RunAddress::default();
+        let new = SavedAddress::default();
         new.write(&folder, run.as_ref(), ("tcp/127.0.0.1:0", "tcp/127.0.0.1:40123"))
             .expect("writable");
-        let read = RunAddress::of_resumed(Some(&folder));
-        assert_eq!((read.run(None), read.has_chosen_port), (run, true));
+        let read = SavedAddress::of_resumed(Some(&folder));
+        assert_eq!((read.run(None), read.has_free_port), (run, true));
         // A port that a resumed run keeps is still a chosen one.
         let endpoint = "tcp/127.0.0.1:40123";
         read.write(&folder, None, (endpoint, endpoint)).expect("writable");
-        assert_eq!(RunAddress::of_resumed(Some(&folder)), read);
+        assert_eq!(SavedAddress::of_resumed(Some(&folder)), read);
         std::fs::write(folder.join(ADDRESS_FILE), "{").expect("writable");
-        assert_eq!(RunAddress::of_resumed(Some(&folder)), RunAddress::default());
-        assert_eq!(RunAddress::of_resumed(None), RunAddress::default());
-        std::fs::remove_dir_all(&folder).expect("ours");
+        assert_eq!(SavedAddress::of_resumed(Some(&folder)), SavedAddress::default());
+        assert_eq!(SavedAddress::of_resumed(None), SavedAddress::default());
+        assert_eq!(
+            SavedAddress::of_resumed(Some(&test_folder.join("none"))),
+            SavedAddress::default()
+        );
     }
 }
