@@ -134,7 +134,7 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|preset| preset.name)
 }
 
-/// The fix for a file that is no scenario.
+/// Advice about a file without a scenario.
 const OTHER_SOURCE: &str = "name a scenario file or, for a recording, the folder of its run";
 
 fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
