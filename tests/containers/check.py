@@ -432,10 +432,12 @@ def made_testbed(testbed):
                     assert unknown.returncode == 1 and "the testbed has bs, " in unknown.stderr, unknown.stderr
                     interrupted.send_signal(signal.SIGINT)
             assert interrupted.wait() == 130, notes
-            assert [line for line in notes if line.startswith("TTI ")] == [f"TTI {line.replace(' ', ': ', 1)}" for line in schedule[:2]], notes
+            # On a busy machine the run reaches a third fault before the signal.
+            done = [line for line in notes if line.startswith("TTI ")]
+            assert len(done) >= 2 and done == [f"TTI {line.replace(' ', ': ', 1)}" for line in schedule[:len(done)]], notes
             end = run(reveille, "testbed", "up", out, "--check")
             notes = end.stderr.splitlines()
-            for line in schedule[2:]:
+            for line in schedule[len(done):]:
                 tti, fault = line.split(" ", 1)
                 assert f"TTI {tti}: {fault}" in notes and f"restore {fault.split()[1]}" in notes, end.stderr
             assert "TTI 300: kill bs: skipped, since the run has passed this TTI" in notes, end.stderr
