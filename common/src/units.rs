@@ -22,12 +22,12 @@ pub const MICRO_PER_UNIT: u64 = 1_000_000;
 pub const MAX_UNITS: f64 = 1e9;
 
 /// Whether rounding `units` of energy to `rounded` units changes them by more than 1 %.
-pub(crate) fn is_changed_by_rounding(units: f64, rounded: f64) -> bool {
+pub fn is_changed_by_rounding(units: f64, rounded: f64) -> bool {
     (units - rounded).abs() > 0.01 * units.abs()
 }
 
 /// The reason of rounding, with the fix, for warnings.
-pub(crate) const ROUNDING_RULE: &str = "energies are multiples of 0.000001; write all energies in a smaller unit";
+pub const ROUNDING_RULE: &str = "energies are multiples of 0.000001; write all energies in a smaller unit";
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

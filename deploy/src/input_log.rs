@@ -148,7 +148,8 @@ pub(crate) fn read_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<
 /// If the file cannot be read, is not an input log, or belongs to another scenario.
 pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let text = std::fs::read_to_string(path).map_err(|error| {
-        let cause = describe_read_error(&error, "name the inputs.log of a run folder");
+        let hint = "name the inputs.log of a run folder; a run without removals, decisions or actions has none";
+        let cause = describe_read_error(&error, hint);
         anyhow!("{}: {cause}", path.display())
     })?;
     external_inputs::parse(&text, scenario).with_context(|| path.display().to_string())

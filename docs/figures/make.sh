@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Draws the pictures of the README (an event of a run, information against the number of devices), of docs/age-index.md
-# (information against energy) and of docs/dt.md (attention of a decision, effect of a target return).
+# (information against energy), of docs/dt.md (attention of a decision, effect of a target return) and of docs/radio.md (policies
+# against failing wake-ups).
 #
 # usage: docs/figures/make.sh [REVEILLE [FOLDER [TTIS [SEEDS]]]]
 #   REVEILLE  the program (target/release/reveille)
@@ -42,11 +43,13 @@ for metric in info_p1 energy_per_device_tti; do
     --out "$scratch/target-${metric%%_*}"
 done
 
-"$reveille" figures robustness --only wake_latency --ttis "$ttis" --seeds "$seeds" --set bs.sync_interval=100 \
-  --format svg --out "$scratch/wake-latency"
+for fault in wake_latency wake_miss; do
+  "$reveille" figures robustness --only "$fault" --ttis "$ttis" --seeds "$seeds" --set bs.sync_interval=100 \
+    --format svg --out "$scratch/${fault/_/-}"
+done
 
 # A white background keeps the pictures readable on dark pages.
 mkdir -p "$folder"
-for picture in run result front attention target-info target-energy wake-latency; do
+for picture in run result front attention target-info target-energy wake-latency wake-miss; do
   sed 's|^<defs>$|<rect width="100%" height="100%" fill="#fff"/>\n<defs>|' "$scratch/$picture"/*.svg > "$folder/$picture.svg"
 done

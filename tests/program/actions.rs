@@ -204,6 +204,7 @@ fn an_impossible_action_is_refused() {
     );
     assert_action_refused("fail 7-2", "`7-2`: 7 is larger than 2; use 2-7");
     assert_action_refused("energy 7 0", "above 0");
+    assert_action_refused("energy 7 0.0000004", "multiples of 0.000001");
     assert_action_refused("set policy.age-index.price 1", "policy knn does not use it");
     assert_action_refused("set devices 3", "cannot change during a run");
     assert_action_refused("fail 7 --at 99", "TTI 99: must be from 100, the next TTI, to 399");

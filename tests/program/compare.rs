@@ -308,6 +308,14 @@ fn a_recording_is_found_in_its_run_folder() {
     }
     assert_refused(&folder.run("figures timeline ."), 1, &["holds no run", "scenario file"]);
     assert_refused(&folder.run("figures timeline a --scenario quick"), 2, &["--scenario"]);
+    for figure in ["timeline", "deployment"] {
+        let [former, current] = ["--scenario quick --out former", "quick --out current"]
+            .map(|preset| folder.run(&format!("figures {figure} {preset} --format svg")));
+        let note = "--scenario NAME is now the argument RUN";
+        assert!(former.is_success() && former.stderr.contains(note), "{former}");
+        assert!(current.is_success() && !current.stderr.contains(note), "{current}");
+    }
+    assert_eq!(folder.list("former"), folder.list("current"));
 }
 
 #[test]

@@ -316,8 +316,8 @@ fn a_user_sweep_is_drawn_against_its_field() {
         names.len() == 4 && names.contains(&battery) && names.contains(&information),
         "{names:?}"
     );
-    // Without `sweep`, the runs with the preset's value of the field have the paper's figures. The field has figures of
-    // four metrics, for two numbers of devices.
+    // Without `sweep`, the field has figures of two metrics, for each N. The paper's figures of the preset's own value are
+    // drawn only with --only.
     let finished = folder.run("figures mine --format svg --out d");
     assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("d");
@@ -332,7 +332,16 @@ fn a_user_sweep_is_drawn_against_its_field() {
         8,
         "{names:?}"
     );
-    assert!(!names.iter().any(|name| name.contains("lambda-0.05")), "{names:?}");
+    let is_swept = |name: &String| name.starts_with("sweep-") || name.starts_with("front-");
+    assert!(names.iter().all(is_swept), "{names:?}");
+    assert!(finished.stderr.contains("choose some with --only"), "{finished}");
+    let finished = folder.run("figures mine --only information --format svg --out f");
+    assert_eq!(finished.code(), Some(0), "{finished}");
+    let names = folder.list("f");
+    assert!(
+        names.len() == 6 && names.contains(&"information-paper.svg".to_owned()),
+        "{names:?}"
+    );
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures sweep mine {args} --out c")), 1, parts);
         assert!(!folder.join("c").exists(), "{args} left files");
@@ -389,6 +398,22 @@ fn tables_with_equal_file_names_give_separate_pictures() {
     let names = folder.list("out");
     assert_eq!(names.len(), 6, "{names:?}");
     assert!(names.contains(&"energy-paper-b-results.svg".to_owned()), "{names:?}");
+}
+
+#[test]
+fn a_report_without_runs_for_any_claim_says_so() {
+    let folder = TestFolder::new();
+    for policies in ["age-index", "random,age-index"] {
+        let finished = folder.run(&format!(
+            "sweep -p {policies} -n 33 -k 300 --seeds 2 --quiet --out {policies}"
+        ));
+        assert!(finished.is_success(), "{finished}");
+        let finished = folder.run(&format!("report {policies} --out report"));
+        assert!(
+            finished.is_success() && finished.stderr.contains("the report judges nothing"),
+            "{finished}"
+        );
+    }
 }
 
 #[test]

@@ -502,6 +502,18 @@ fn exports_contain_every_message() {
     let finished = folder.run("inspect export --dissector d.lua");
     assert!(finished.is_success(), "{finished}");
     assert_refused(&folder.run("inspect export r.mcap"), 2, &["--to"]);
+    for (name, format) in [("a.csv", "csv"), ("a.devices.csv", "devices"), ("a.pcapng", "pcapng")] {
+        for out in [format!("--out {name}"), format!("--to {format} --out b-{name}")] {
+            let finished = folder.run(&format!("inspect export r.mcap {out}"));
+            assert!(finished.is_success(), "{finished}");
+        }
+        assert!(folder.bytes(name) == folder.bytes(&format!("b-{name}")), "{name}");
+    }
+    assert_refused(
+        &folder.run("inspect export r.mcap --out a.txt"),
+        2,
+        &["a.txt", "pcapng", "--to"],
+    );
     assert_refused(
         &folder.run("inspect export r.mcap --to perfetto --since 5 --force"),
         1,

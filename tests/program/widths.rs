@@ -39,6 +39,35 @@ fn a_sweep_over_several_fields_has_narrow_tables() {
 }
 
 #[test]
+fn a_sweep_shows_why_events_were_missed() {
+    let folder = TestFolder::new();
+    let finished = folder.run("sweep -p knn,genie -n 8,60 -k 600 --seeds 2 --set energy.e_max=12 --out several");
+    assert_narrow(&finished);
+    let (_, causes) = finished
+        .stdout
+        .split_once("missed events by cause, % of events, means\n")
+        .unwrap_or_else(|| panic!("{finished}"));
+    // The same shares as in the table of runs, which has a column for every cause.
+    let rows = folder.run("sweep -p knn,genie -n 8,60 -k 600 --seeds 2 --set energy.e_max=12 --out several --json");
+    let report: serde_json::Value = serde_json::from_str(&rows.stdout).expect("JSON");
+    let cells = report["cells"].as_array().expect("a list");
+    let occurs = |cause: &str| {
+        let metric = format!("missed_{}_pct", cause.replace(' ', "_"));
+        cells
+            .iter()
+            .any(|cell| cell["metrics"][&metric]["mean"].as_f64() > Some(0.0))
+    };
+    for cause in ["asleep", "unpowered", "undetected", "lost", "out of reach", "no energy"] {
+        assert_eq!(causes.contains(cause), occurs(cause), "{cause}: {finished}");
+    }
+    assert!(occurs("no energy"), "{rows}");
+    let finished = folder.run("sweep -p random -n 250 -k 600 --seeds 2 --set policy.random.t_drx=[64] --out one");
+    assert_narrow(&finished);
+    let sentence = "cause of all missed events: devices within d_max slept by plan\n";
+    assert!(finished.stdout.contains(sentence), "{finished}");
+}
+
+#[test]
 fn checks_and_message_counts_are_narrow() {
     let folder = TestFolder::new();
     let long_path = "a-folder-with-a-name/that-is-long/and-another-one-in-it/with-a-scenario/that-is-long-too";

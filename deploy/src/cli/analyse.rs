@@ -188,7 +188,7 @@ pub(crate) struct HarvestArgs {
     #[arg(long, short = 'n', default_value = "10,100,250", allow_hyphen_values = true)]
     pub devices: String,
     /// Policies, separated by commas, for the comparison of consumption. The curves use the first policy.
-    #[arg(long, short, alias = "policy", default_value = "random,adjusted,knn")]
+    #[arg(long, short, visible_alias = "policy", default_value = "random,adjusted,knn")]
     pub policies: String,
     /// Length of a run in TTIs, warm-up included [default: the scenario's].
     #[arg(long, short = 'k', allow_negative_numbers = true)]
@@ -213,7 +213,7 @@ pub(crate) struct RuntimeArgs {
     )]
     pub devices: String,
     /// Policies to time, separated by commas.
-    #[arg(long, short, alias = "policy", default_value_t = registry::comma_separated_names(|_| true))]
+    #[arg(long, short, visible_alias = "policy", default_value_t = registry::comma_separated_names(|_| true))]
     pub policies: String,
     /// Length of a timed run in TTIs.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]

@@ -232,7 +232,7 @@ pub(crate) enum RankingArg {
 /// Arguments of `reveille figures deployment`.
 #[derive(Args)]
 pub(crate) struct DeploymentArgs {
-    /// Folder of a run, whose scenario is repeated, or a scenario file; instead of --scenario.
+    /// Folder of a run, whose scenario is repeated; or a scenario file or preset [default: paper].
     #[arg(value_name = "RUN", conflicts_with = "scenario")]
     pub run: Option<PathBuf>,
     /// Scenario options.
@@ -338,7 +338,7 @@ fn impairments() -> PossibleValuesParser {
 /// Arguments of `reveille figures timeline`.
 #[derive(Args)]
 pub(crate) struct TimelineArgs {
-    /// Folder of a run, whose scenario is repeated, or a scenario file; instead of --scenario.
+    /// Folder of a run, whose scenario is repeated; or a scenario file or preset [default: paper].
     #[arg(value_name = "RUN", conflicts_with = "scenario")]
     pub run: Option<PathBuf>,
     /// Scenario options.

@@ -156,10 +156,10 @@ pub(crate) struct InspectRecordArgs {
 #[derive(Args)]
 pub(crate) struct ExportArgs {
     /// Recording to read, or the run folder that holds it.
-    #[arg(required_unless_present = "dissector", requires = "to")]
+    #[arg(required_unless_present = "dissector")]
     pub file: Option<PathBuf>,
-    /// Format of the output file.
-    #[arg(long, value_enum, requires = "file")]
+    /// Format of the output file [default: by the extension of --out].
+    #[arg(long, value_enum, requires = "file", required_unless_present_any = ["out", "dissector"])]
     pub to: Option<ExportFormatArg>,
     /// File to write [default: next to the recording, with its name and the extension of the format].
     #[arg(long, short, requires = "file")]

@@ -43,8 +43,8 @@ pub(crate) use inspect::{
 pub(crate) use parse::{most_similar_name, parse_duration, parse_pace};
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};
 pub(crate) use run::{
-    AuditArg, BsArgs, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg, OutputArgs,
-    PolicyProcessArgs, RouterArgs, RunArgs, ScenarioArgs, UpArgs,
+    AuditArg, BsArgs, DEFAULT_SCENARIO, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg,
+    OutputArgs, PolicyProcessArgs, RouterArgs, RunArgs, ScenarioArgs, UpArgs,
 };
 pub(crate) use sweep::{GridArgs, MergeArgs, SweepArgs};
 pub(crate) use testbed::{

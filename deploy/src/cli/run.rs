@@ -21,7 +21,7 @@ use reveille_lab::external_inputs::ExternalInputs;
 use super::parse::{parse_duration, parse_pace, policy_help, run_policy_help, whole};
 
 /// Scenario used when the command line names none.
-const DEFAULT_SCENARIO: &str = "paper";
+pub(crate) const DEFAULT_SCENARIO: &str = "paper";
 
 /// Options that select the scenario.
 #[derive(Args, Clone, Debug)]

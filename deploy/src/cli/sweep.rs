@@ -83,7 +83,7 @@ pub(crate) struct GridArgs {
     #[arg(
         long,
         short,
-        alias = "policy",
+        visible_alias = "policy",
         value_delimiter = ',',
         help_heading = "Grid",
         help = policies_help(),

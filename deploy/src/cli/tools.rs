@@ -436,7 +436,7 @@ pub(crate) struct MemoryBenchArgs {
     /// Policies to measure.
     #[arg(
         long,
-        alias = "policy",
+        visible_alias = "policy",
         value_delimiter = ',',
         default_values_t = registry::names().map(str::to_owned),
         value_parser = trimmed(StringValueParser::new())

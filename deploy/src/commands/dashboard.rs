@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use reveille_bs::scenario::compare_scenarios;
 use reveille_common::bus::Role;
 use reveille_common::message::Frame;
@@ -50,9 +50,11 @@ fn feed_from_recording(
         FeedOrigin::Recording(path),
         compared,
     );
+    let mut is_empty = true;
     let read_error = loop {
         match recording.next_frame() {
             Ok(Some(frame)) => {
+                is_empty = false;
                 on_frame(&frame);
                 feed.apply(frame);
             }
@@ -60,6 +62,9 @@ fn feed_from_recording(
             Err(error) => break Some(error),
         }
     };
+    if is_empty {
+        bail!("{}: the recording holds no messages", path_text());
+    }
     if let Some(error) = read_error {
         let reason = format!("{}: {error}; the messages before this point are shown", path_text());
         note!("{reason}");

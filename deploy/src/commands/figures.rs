@@ -57,15 +57,22 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let chosen_figures = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
     let swept = SweptNumbers::of_results(&results);
-    // The paper has no figures of a swept field, so its runs are drawn against this field. So are runs of the preset's
-    // own value, unless they have several N to draw them against.
-    let is_swept = |condition: &RunCondition| {
-        let has_several_n = || condition.all_device_counts().len() > 1;
-        swept.iter().any(|numbers| numbers.is_varied_in(condition))
-            && !(condition.is_unchanged_preset() && has_several_n())
-    };
+    // The paper has no figures of a swept field, so its runs are drawn against this field. Figures chosen with --only
+    // are also drawn against N, for the preset's own value.
+    let is_swept = |condition: &RunCondition| swept.iter().any(|numbers| numbers.is_varied_in(condition));
+    let has_own_figures =
+        |condition: &RunCondition| condition.is_unchanged_preset() && condition.all_device_counts().len() > 1;
     let with_labels = results.conditions.iter().zip(results.file_labels());
-    for (condition, label) in with_labels.filter(|(condition, _)| !is_swept(condition)) {
+    for (condition, label) in with_labels {
+        if is_swept(condition) && !(has_own_figures(condition) && !args.only.is_empty()) {
+            if has_own_figures(condition) {
+                note!(
+                    "{}: the figures of the paper are not drawn, as fields vary in the sweep; choose some with --only",
+                    condition.label()
+                );
+            }
+            continue;
+        }
         for figure in &chosen_figures {
             let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(condition) else {

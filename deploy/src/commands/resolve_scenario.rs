@@ -17,7 +17,7 @@ use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, load_with_external};
 use reveille_lab::external_inputs::{ExternalInputs, InputLogError};
 
-use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::cli::{DEFAULT_SCENARIO, OutputArgs, ScenarioArgs};
 use crate::display::note;
 use crate::input_log::{self, INPUT_LOG_FILE};
 use crate::run_folder::{self, SCENARIO_FILE};
@@ -137,6 +137,9 @@ fn find_replay_log(path: &Path) -> anyhow::Result<PathBuf> {
 /// Without `run`, returns the command line's scenario. The policy must be one of this program.
 pub(super) fn resolve_repeated_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let Some(run) = run else {
+        if args.scenario != DEFAULT_SCENARIO {
+            note!("--scenario NAME is now the argument RUN; the option will be removed in a later version");
+        }
         return resolve_with_builtin_policy(args);
     };
     let mut scenario_file = run.to_owned();

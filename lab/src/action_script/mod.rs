@@ -23,7 +23,7 @@ use reveille_common::digits::count_noun;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
-use reveille_common::units::{Energy, MAX_UNITS};
+use reveille_common::units::{Energy, MAX_UNITS, ROUNDING_RULE, is_changed_by_rounding};
 
 use crate::external_inputs;
 
@@ -219,11 +219,21 @@ pub fn parse_devices(text: &str) -> Result<Vec<DeviceRange>, String> {
 /// Parses an amount of energy, units.
 ///
 /// # Errors
-/// If the text is not an amount that a battery can receive.
+/// If the text is not an amount that a battery can receive, or rounding to micro-units changes it by more than 1 %.
 pub fn parse_energy(text: &str) -> Result<Energy, String> {
-    let energy = text.parse().ok().and_then(Energy::from_units);
-    let energy = energy.filter(|energy| *energy > Energy::ZERO);
-    energy.ok_or_else(|| format!("`{text}` must be an energy above 0, at most {MAX_UNITS} units"))
+    let units = text.parse().ok().filter(|units| *units > 0.0);
+    let energy = units.and_then(|units| Energy::from_units(units).map(|energy| (units, energy)));
+    if let Some((units, energy)) = energy
+        && is_changed_by_rounding(units, energy.units())
+    {
+        return Err(format!(
+            "`{text}` would become {}, since {ROUNDING_RULE}",
+            energy.units()
+        ));
+    }
+    energy
+        .map(|(_, energy)| energy)
+        .ok_or_else(|| format!("`{text}` must be an energy above 0, at most {MAX_UNITS} units"))
 }
 
 /// Parses the field of a setting that can change during a run.

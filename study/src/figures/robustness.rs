@@ -203,6 +203,13 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
     };
     let run_counts = points.iter().map(|point| point.run_metrics.len());
     let runs = runs_in_words((run_counts.clone().min().unwrap_or(0), run_counts.max().unwrap_or(0)));
+    // An oracle relies on its wake-ups only, and other policies also on scheduled sensing.
+    let misses_wake_ups = impairments.iter().any(|impairment| impairment.name == "wake_miss");
+    let oracle_limit = if misses_wake_ups && points.iter().any(|point| point.policy == "genie") {
+        " genie is an upper bound only if its wake-ups arrive: with missed wake-ups, another policy can be better."
+    } else {
+        ""
+    };
     let mut grid = ChartGrid {
         title: format!("Robustness to an imperfect radio, N = {}", scenario.run.devices),
         columns: METRICS
@@ -212,7 +219,7 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
         caption: format!(
             "Preset {}; {runs} of {} TTIs per point, mean with its 95 % interval as band. Plans are resent every {} \
              TTIs; there is no impairment except the one along x. All rows of a column have the same y axis; that of % \
-             of events is a square-root axis.",
+             of events is a square-root axis.{oracle_limit}",
             scenario.run.preset, scenario.run.ttis, scenario.bs.sync_interval
         ),
     };
@@ -395,6 +402,9 @@ mod tests {
             }
         }
         assert!(grid.caption.contains("2 runs of 400 TTIs"), "{}", grid.caption);
+        let names_limit = |grid: &ChartGrid| grid.caption.contains("genie is an upper bound only if");
+        let without_genie: Vec<_> = points.iter().filter(|point| point.policy != "genie").cloned().collect();
+        assert!(names_limit(&grid) && !names_limit(&super::grid(&without_genie, &all, &scenarios[0])));
         let scene = grid.scene();
         for item in &scene.items {
             let [left, top, right, bottom] = item.bounds();

@@ -6,7 +6,8 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
+use clap::ValueEnum as _;
 use reveille_common::message::Frame;
 use reveille_lab::io::open_part_file;
 use reveille_view::export::device_rows::{self, DeviceRow, DeviceRows};
@@ -21,7 +22,7 @@ use super::super::default_window;
 use super::source::{RecordingFile, check_tti_range, find_recording, open_recording};
 use crate::cli::{ExportArgs, ExportFormatArg};
 use crate::display::{count_noun, note, print_stdout};
-use crate::exit::ExitReason;
+use crate::exit::{ExitReason, InvalidUsage};
 use crate::paths::is_same_path;
 
 /// Writes the requested file.
@@ -32,9 +33,10 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
         print_stdout(&format!("{}\n", path.display()))?;
     }
-    let (Some(given_path), Some(format)) = (&args.file, args.to) else {
+    let Some(given_path) = &args.file else {
         return Ok(ExitReason::Done.into());
     };
+    let format = chosen_format(args)?;
     let recording_path = &find_recording(given_path)?;
     let out_path = args
         .out
@@ -68,6 +70,33 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
             );
         }
     }
+}
+
+/// Returns the format that `--to` or the extension of `--out` names.
+fn chosen_format(args: &ExportArgs) -> anyhow::Result<ExportFormatArg> {
+    if let Some(format) = args.to {
+        return Ok(format);
+    }
+    let Some(out) = &args.out else {
+        bail!(InvalidUsage(
+            "--to FORMAT or --out FILE is required with a recording".to_owned()
+        ));
+    };
+    let name = out.to_string_lossy();
+    let has_extension = |format: &&ExportFormatArg| name.ends_with(&format!(".{}", format.extension()));
+    // The last match is the longest: `devices.csv` comes after `csv`.
+    let mut formats = ExportFormatArg::value_variants().iter();
+    formats.rfind(has_extension).copied().ok_or_else(|| {
+        let extensions: Vec<&str> = ExportFormatArg::value_variants()
+            .iter()
+            .map(|format| format.extension())
+            .collect();
+        anyhow!(InvalidUsage(format!(
+            "--out {}: the extension names no format; use one of {}, or choose the format with --to",
+            out.display(),
+            extensions.join(", ")
+        )))
+    })
 }
 
 /// Checks that `path` is free, or may be replaced.

@@ -7,6 +7,7 @@ use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{CellAlignment, LineStyle, Table};
 use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::score::Metrics;
+use reveille_common::totals::MissCause;
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::SeriesNames;
 use reveille_lab::stats::{self, CellRuns, Estimate};
@@ -123,18 +124,12 @@ impl SweepSummary<'_> {
             })
             .collect();
         let row_headings: Vec<&str> = row_columns.iter().map(|column| headings[*column]).collect();
-        // Several swept fields leave less room for metrics, which then make further tables.
-        let layouts = [CLOSING_METRICS.len(), 3, 2, 1].map(|metrics_per_table| {
-            let parts = CLOSING_METRICS.chunks(metrics_per_table);
-            let tables: Vec<String> = parts
-                .map(|metrics| format_table(&row_headings, &rows, metrics))
-                .collect();
-            tables.join("\n")
-        });
-        let widest_that_fits = layouts.iter().find(|text| widest_line(text) <= WIDTH);
-        let [.., narrowest] = &layouts;
-        let layout = widest_that_fits.unwrap_or(narrowest);
-        format!("{title}\n{layout}")
+        let mut blocks = vec![
+            title,
+            format_narrow_tables(&row_headings, &rows, &CLOSING_METRICS, format_estimate),
+        ];
+        blocks.extend(format_causes(&row_headings, &rows));
+        blocks.join("\n")
     }
 
     /// Formats the number of runs, and the speed of the runs of this call.
@@ -233,9 +228,66 @@ impl SweepSummary<'_> {
     }
 }
 
+/// Formats the cells as one table with all `metrics`, or as several with fewer each where swept fields leave less room.
+fn format_narrow_tables(
+    row_headings: &[&str],
+    rows: &[(Vec<String>, &CellRuns<'_>)],
+    metrics: &[(&str, &str)],
+    format_cell: FormatCell,
+) -> String {
+    let layouts = [metrics.len(), 3, 2, 1].map(|metrics_per_table| {
+        let parts = metrics.chunks(metrics_per_table);
+        let tables: Vec<String> = parts
+            .map(|metrics| format_table(row_headings, rows, metrics, format_cell))
+            .collect();
+        tables.join("\n")
+    });
+    let [.., narrowest] = &layouts;
+    let widest_that_fits = layouts.iter().find(|text| widest_line(text) <= WIDTH);
+    widest_that_fits.unwrap_or(narrowest).clone()
+}
+
+/// Formats the causes of missed events that occur in any cell; `None` if no event was missed. A single cause is a
+/// sentence, as the table above already has its numbers.
+fn format_causes(row_headings: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)]) -> Option<String> {
+    let occurs = |metric: &str| {
+        let mut estimates = rows.iter().filter_map(|(_, cell)| cell.metric_estimate(metric));
+        estimates.any(|estimate| estimate.mean_estimate.mean > 0.0)
+    };
+    let causes = MissCause::ALL.iter().filter_map(|cause| {
+        let metric = Metrics::find(&format!("missed_{}_pct", cause.name()))?.name;
+        occurs(metric).then_some((*cause, metric))
+    });
+    match &causes.collect::<Vec<_>>()[..] {
+        [] => None,
+        [(cause, _)] => Some(wrap_text(
+            &format!("cause of all missed events: {}", cause.explanation()),
+            WIDTH,
+        )),
+        causes => {
+            let headings: Vec<String> = causes.iter().map(|(cause, _)| cause.name().replace('_', " ")).collect();
+            let metrics: Vec<(&str, &str)> = causes
+                .iter()
+                .zip(&headings)
+                .map(|((_, metric), heading)| (*metric, heading.as_str()))
+                .collect();
+            let tables = format_narrow_tables(row_headings, rows, &metrics, format_mean);
+            Some(format!("missed events by cause, % of events, means\n{tables}"))
+        }
+    }
+}
+
+/// Formats the estimate of a metric in a cell of a table.
+type FormatCell = fn(Option<MetricEstimate>) -> String;
+
 /// Formats a row for each cell with its labels, below `row_headings`, and `metrics`. Long headings of swept fields
 /// break at dots.
-fn format_table(row_headings: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[(&str, &str)]) -> String {
+fn format_table(
+    row_headings: &[&str],
+    rows: &[(Vec<String>, &CellRuns<'_>)],
+    metrics: &[(&str, &str)],
+    format_cell: FormatCell,
+) -> String {
     let mut table = Table::new();
     let label_headings = row_headings.iter().map(|heading| heading.replace('.', ".\n"));
     let metric_headings = metrics.iter().map(|(_, heading)| (*heading).to_owned());
@@ -244,7 +296,7 @@ fn format_table(row_headings: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], me
         .set_header(label_headings.chain(metric_headings));
     for (labels, cell) in rows {
         let estimates = metrics.iter().map(|(metric, _)| {
-            let text = format_estimate(cell.metric_estimate(metric));
+            let text = format_cell(cell.metric_estimate(metric));
             text.replace(" ± ", "\n±").replace(", <", "\n<").replace(", >", "\n>")
         });
         table.add_row(labels.iter().cloned().chain(estimates));
@@ -308,6 +360,14 @@ fn estimate_json(estimate: MetricEstimate) -> Json {
         "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs,
         "upper_bound": estimate.upper_bound, "lower_bound": estimate.lower_bound,
     })
+}
+
+/// Formats the mean of an estimate; a dash without a value.
+fn format_mean(estimate: Option<MetricEstimate>) -> String {
+    estimate.map_or_else(
+        || "–".to_owned(),
+        |estimate| format_significant(estimate.mean_estimate.mean, 3),
+    )
 }
 
 /// Formats an estimate as `0.1473 ± 0.0012`, with the digits that the interval justifies; `0.013, < 0.040` if there is

@@ -69,8 +69,9 @@ export class MapGround {
   paintClusterNumbers(draw, width, height, size) {
     this.centres ??= this.findCentres();
     const { centres } = this;
-    if (width / Math.sqrt(centres.size) < 60) return;
-    draw.font = "600 13px system-ui, sans-serif";
+    const spacing = width / Math.sqrt(centres.size);
+    if (spacing < 40) return;
+    draw.font = `600 ${spacing < 60 ? 11 : 13}px system-ui, sans-serif`;
     draw.textAlign = "center";
     draw.textBaseline = "middle";
     for (const [group, { x, y, count }] of centres) {
