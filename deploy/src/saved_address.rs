@@ -1,5 +1,5 @@
-//! The name, the address and the identity of a run on the bus: `address.json` in the run folder, so that clients that wait for a
-//! killed run find the resumed run without further options. `up` and `bs` write it; a complete run has none.
+//! The name, the address and the identity of a run on the bus: `address.json` in the run folder, so that clients that
+//! wait for a killed run find the resumed run without further options. `up` and `bs` write it; a complete run has none.
 
 use std::io;
 use std::path::Path;

@@ -69,8 +69,8 @@ impl VirtualClock {
     }
 }
 
-/// Longest delay that the TTIs after it catch up, in TTIs of the pace. A longer one is the end of an outage, such as the
-/// wait for a lost host, or the sign of a pace that is too fast.
+/// Longest delay that the TTIs after it catch up, in TTIs of the pace. A longer one is the end of an outage, such as
+/// the wait for a lost host, or the sign of a pace that is too fast.
 const MAX_CAUGHT_UP_TTIS: u32 = 5;
 /// Shortest delay that counts as longer than `MAX_CAUGHT_UP_TTIS`: a busy machine delays a process by about as much.
 const MIN_OUTAGE: Duration = Duration::from_millis(250);

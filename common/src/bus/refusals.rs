@@ -161,7 +161,7 @@ impl RefusalCounts {
         {
             let count = self.hosts.entry(peer).or_default();
             *count += 1;
-            let note = "the peer has no valid secret of the run; hosts of an earlier base station join again";
+            let note = "the peer lacks the role or the secret of the run; hosts of an earlier base station join again";
             return (*count == 1).then(|| format!("{text}: {note}"));
         }
         if self.texts.len() >= MAX_TEXTS && !self.texts.contains_key(&text) {
