@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 
 /// The version of the wire format. A host and a BS with different versions refuse each other, and a program refuses
 /// recordings with another version. `tests/untrusted_clients/bus.py` repeats the number.
-pub const WIRE_VERSION: u8 = 10;
+pub const WIRE_VERSION: u8 = 11;
 
 /// Maximum length of a payload that [`decode`] accepts, in bytes. [`encode`] does not check it.
 pub(crate) const MAX_PAYLOAD: usize = 64 << 20;

@@ -1,5 +1,5 @@
-//! The name and the address of a run on the bus: `address.json` in the run folder, so that clients that wait for a
-//! killed run find the resumed run without further options. `up` and `bs` write it; a complete run has none.
+//! The name, the address and the identity of a run on the bus: `address.json` in the run folder, so that clients that
+//! wait for a killed run find the resumed run without further options. `up` and `bs` write it; a complete run has none.
 
 use std::io;
 use std::path::Path;
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// The file name in a run folder.
 pub(crate) const ADDRESS_FILE: &str = "address.json";
 
-/// The name and the address of a run.
+/// The name, the address and the identity of a run.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct SavedAddress {
@@ -23,6 +23,8 @@ pub(crate) struct SavedAddress {
     listen: Option<String>,
     /// Whether the port was any free one.
     has_free_port: bool,
+    /// The identity of the run; other versions do not write it.
+    id: Option<u64>,
 }
 
 impl SavedAddress {
@@ -83,24 +85,27 @@ impl SavedAddress {
     }
 
     /// Writes the address of a run into its `folder`: the name that an option or this address gives, and the endpoint,
-    /// requested as `listen`.
+    /// requested as `listen`. Returns the identity of the run, which is new unless this address has one.
     ///
     /// # Errors
-    /// If the file cannot be written.
+    /// If the file cannot be written, or the operating system provides no randomness.
     pub(crate) fn write(
         &self,
         folder: &Path,
         run: Option<&RunName>,
         (listen, endpoint): (&str, &str),
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<u64> {
+        let id = self.id.map_or_else(bus::draw_nonce, Ok)?;
         let is_earlier = self.listen.as_deref() == Some(listen);
         let address = Self {
             run: self.run(run).map(|run| run.to_string()),
             listen: Some(endpoint.to_owned()),
             has_free_port: listen.ends_with(":0") || is_earlier && self.has_free_port,
+            id: Some(id),
         };
         let path = folder.join(ADDRESS_FILE);
-        replace(&path, &serde_json::to_vec(&address)?).with_context(|| format!("cannot write {}", path.display()))
+        replace(&path, &serde_json::to_vec(&address)?).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(id)
     }
 }
 
@@ -138,6 +143,7 @@ mod tests {
             run: Some("field".to_owned()),
             listen: Some(endpoint.clone()),
             has_free_port: false,
+            id: None,
         };
         let chosen = SavedAddress {
             listen: Some(endpoint.clone()),
@@ -164,14 +170,18 @@ mod tests {
         std::fs::create_dir(&folder).expect("writable");
         let run = "field".parse().ok();
         let new = SavedAddress::default();
-        new.write(&folder, run.as_ref(), ("tcp/127.0.0.1:0", "tcp/127.0.0.1:40123"))
+        let id = new
+            .write(&folder, run.as_ref(), ("tcp/127.0.0.1:0", "tcp/127.0.0.1:40123"))
             .expect("writable");
         let read = SavedAddress::of_resumed(Some(&folder));
         assert_eq!((read.run(None), read.has_free_port), (run, true));
         // A port that a resumed run keeps is still a chosen one.
         let endpoint = "tcp/127.0.0.1:40123";
-        read.write(&folder, None, (endpoint, endpoint)).expect("writable");
+        let resumed_id = read.write(&folder, None, (endpoint, endpoint)).expect("writable");
+        assert_eq!(resumed_id, id);
         assert_eq!(SavedAddress::of_resumed(Some(&folder)), read);
+        let other_id = new.write(&folder, None, (endpoint, endpoint)).expect("writable");
+        assert_ne!(other_id, id, "another run in the same folder");
         std::fs::write(folder.join(ADDRESS_FILE), "{").expect("writable");
         assert_eq!(SavedAddress::of_resumed(Some(&folder)), SavedAddress::default());
         assert_eq!(SavedAddress::of_resumed(None), SavedAddress::default());

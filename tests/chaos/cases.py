@@ -87,7 +87,7 @@ def draw(seed, kinds):
         while chosen.count(single) > 1:
             chosen.remove(single)
     drawn = [faults.draw(rng, kind) for kind in chosen]
-    # A held run catches up with its pace afterwards, so it must be longer by the time of the faults.
+    # A run that no fault holds must last longer than all faults.
     fault_seconds = sum(fault.params.get("for", 0) for fault in drawn)
     length = 1.5 + fault_seconds + sum(fault.after for fault in drawn) + rng.uniform(0.5, 2)
     return Plan(

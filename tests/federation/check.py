@@ -163,6 +163,34 @@ def check_killed_device(reveille):
     print(f"killed device process behind a router: digest equal, loss reported after {lost:.2f} s", flush=True)
 
 
+def check_cut_tls(reveille):
+    """Cuts the TLS link of one host. Hosts with other links stay, and the run continues soon after the lease of 2 s."""
+    folder = Path(tempfile.mkdtemp(prefix="federation-")).resolve()
+    workspace = subprocesses.Workspace(reveille, folder, PATIENCE)
+    try:
+        bs = sandbox.Namespace(workspace)
+        links = [DelayedLink(workspace, bs, sandbox.Namespace(workspace)) for _ in range(3)]
+        if workspace.call(["tls", "init", "certs", *(word for link in links for word in ("--name", link.near))]).returncode != 0:
+            print("SKIPPED: a cut TLS link needs a build with the feature tls", flush=True)
+            return
+        tls, out = ["--tls", folder / "certs"], folder / "out"
+        args = ["--run", RUN, "--devices", 30, "--ttis", 1500, "--pace", "10ms", "--on-loss", "continue", "--out", out]
+        station = workspace.start(["bs", *args, *tls, "--listen", f"tls/0.0.0.0:{PORT}"], prefix=bs.prefix())
+        for link in links:
+            connect = ["--connect", f"tls/{link.near}:{PORT}", "--count", 10]
+            workspace.start(["device", f"--run={RUN}", *connect, *tls], prefix=link.far_namespace.prefix())
+        workspace.rest(5)
+        links[0].is_cut = True
+        workspace.wait("the end of the run", lambda: station.poll() is not None)
+        timing = (subprocesses.read_summary(out) or {}).get("timing")
+        lost_hosts = station.err().count("; the run continues without its devices")
+        if station.poll() != 0 or lost_hosts != 1 or timing["max_late_ms"] > 4500:
+            raise subprocesses.Failure(f"{lost_hosts} hosts lost, {timing}: {station.err()}")
+    finally:
+        workspace.close()
+    print(f"cut TLS link: one host lost, the run held for {timing['max_late_ms'] / 1000:.1f} s", flush=True)
+
+
 def measure(reveille, delays, losses, ttis, repeat):
     """Prints TTIs per second, with and without lookahead."""
     print("| one-way delay | loss | no lookahead, TTIs/s | lookahead, TTIs/s | grants per TTI |\n|---:|---:|---:|---:|---:|")
@@ -210,7 +238,7 @@ def main():
         measure(reveille, (0.0, 0.005, 0.01, DELAY), (0.0, LOSS), 600, 3)
         measure_grants(reveille, 600)
         return
-    for check in (check_killed_device, check_lost_router, check_cut):
+    for check in (check_killed_device, check_lost_router, check_cut, check_cut_tls):
         check(reveille)
     measure(reveille, (0.0, DELAY), (0.0,), 150, 1)
 

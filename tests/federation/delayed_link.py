@@ -27,6 +27,7 @@ class DelayedLink:
         number = next(_numbers)
         self.delay, self.loss, self.is_cut = delay, loss, False
         self.sent = self.dropped = 0
+        self.far_namespace = far
         # Addresses of the two ends, in a range that is not routed on the internet.
         self.near, self.far = f"198.18.{number}.1", f"198.18.{number}.2"
         self._chance = random.Random(seed)

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{SummaryJson, TestFolder, assert_refused, unique_run};
+use reveille_tests::process::{SummaryJson, TestFolder, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -370,6 +370,27 @@ fn an_observer_records_the_whole_run_of_a_base_station_that_was_frozen() {
     let finished = folder.run("inspect verify r.mcap");
     assert!(finished.stdout.contains(&digest), "{finished}");
     assert!(shown_messages(&folder, "r.mcap --plane air") == shown_messages(&folder, "p.mcap --plane air"));
+}
+
+#[test]
+fn an_observer_tells_another_run_of_the_same_name_from_the_first() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("other"), free_endpoint());
+    let up = |out: &str| {
+        let options = "-P 1 -n 10 -k 1000000 --pace 5ms --quiet";
+        folder.start(&format!("up {options} --run {run} --listen {endpoint} --out {out}"))
+    };
+    let first = up("first");
+    folder.wait_for_tti(&run, 1);
+    let record = folder.start(&format!("inspect record r.mcap --run {run}"));
+    record.wait_for_stderr("connected to run");
+    first.signal(Signal::KILL);
+    record.wait_for_stderr("has left the bus");
+    let second = up("second");
+    let record = record.finish();
+    let names_other_run = record.stderr.contains(&format!("another run called {run} answers now"));
+    assert!(record.code() == Some(1) && names_other_run, "{record}");
+    second.signal(Signal::INT);
+    second.finish();
 }
 
 /// Reads a CSV table: for each row the cells by column.

@@ -80,6 +80,7 @@ async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, host_co
         });
     }
     let config = ServerConfig {
+        run_id: 7,
         lookahead,
         pace: Pace::Max,
         on_loss: OnLoss::End,

@@ -5,7 +5,7 @@ import json
 import zenoh
 
 # The first byte of every message: the wire version.
-WIRE = 10
+WIRE = 11
 # Encoded clock commands: pause, step 1, run to TTI 10, resume, pace max. `STATUS` needs no key.
 COMMANDS = [bytes([WIRE, *command]) for command in ([0], [1, 1], [2, 10], [3], [4, 0])]
 STATUS = bytes([WIRE, 5])

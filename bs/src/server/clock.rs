@@ -69,6 +69,40 @@ impl VirtualClock {
     }
 }
 
+/// Longest delay that the TTIs after it catch up, in TTIs of the pace. A longer one is the end of an outage, such as
+/// the wait for a lost host, or the sign of a pace that is too fast.
+const MAX_CAUGHT_UP_TTIS: u32 = 5;
+/// Shortest delay that counts as longer than `MAX_CAUGHT_UP_TTIS`: a busy machine delays a process by about as much.
+const MIN_OUTAGE: Duration = Duration::from_millis(250);
+
+/// Due times of TTIs under a real-time pace.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Schedule {
+    /// The last TTI, and the moment from which the next ones count.
+    last: Option<(Tti, Instant)>,
+}
+
+impl Schedule {
+    /// Returns the moment at which `tti` is due, with TTIs of length `tti_duration`. The first TTI is due `now`. After
+    /// a short delay the next TTIs are due as if there had been none. After a long one they follow at the pace from
+    /// `now` on, which is when this TTI begins.
+    pub fn due(&mut self, tti: Tti, tti_duration: Duration, now: Instant) -> Instant {
+        let due = self.last.map_or(now, |(last, moment)| {
+            moment + tti_duration.saturating_mul((tti - last) as u32)
+        });
+        let delay = now.saturating_duration_since(due);
+        let is_outage = delay > MIN_OUTAGE.max(tti_duration.saturating_mul(MAX_CAUGHT_UP_TTIS));
+        self.last = Some((tti, if is_outage { now } else { due }));
+        due
+    }
+
+    /// The delay that the next TTIs have to catch up, when the last one began at `begin`.
+    pub fn backlog(&self, begin: Instant) -> Duration {
+        self.last
+            .map_or(Duration::ZERO, |(_, moment)| begin.saturating_duration_since(moment))
+    }
+}
+
 /// Delays of TTIs under a real-time pace.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lateness {
@@ -90,7 +124,7 @@ impl Lateness {
 }
 
 /// Number of consecutive TTIs with growing delays before [`PaceWatch`] reports a pace. After a single long TTI the next
-/// ones catch up.
+/// ones catch up or follow at the pace.
 const MIN_SLOW_TTIS: u64 = 20;
 /// Smallest growth of the delay that [`PaceWatch`] reports. The largest step of a sequence does not count, since one
 /// long TTI does not predict the others.
@@ -100,7 +134,7 @@ const MIN_REPORTED_GROWTH: Duration = Duration::from_millis(500);
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PaceWatch {
     slow_phase: Option<SlowPhase>,
-    last_delay: Duration,
+    last_backlog: Duration,
     has_reported: bool,
 }
 
@@ -118,11 +152,11 @@ struct SlowPhase {
 }
 
 impl PaceWatch {
-    /// Records that `tti` begins at `now`, `delay` after it was due. Returns the mean duration of the last TTIs if they
-    /// are too slow for the pace. It does so at most once.
-    pub fn record(&mut self, tti: Tti, delay: Duration, now: Instant) -> Option<Duration> {
-        let step = delay.saturating_sub(self.last_delay);
-        self.last_delay = delay;
+    /// Records that `tti` begins at `now`, `delay` after it was due; the next TTIs have to catch up `backlog` of it.
+    /// Returns the mean duration of the last TTIs if they are too slow for the pace. It does so at most once.
+    pub fn record(&mut self, tti: Tti, delay: Duration, backlog: Duration, now: Instant) -> Option<Duration> {
+        let step = delay.saturating_sub(self.last_backlog);
+        self.last_backlog = backlog;
         if step.is_zero() {
             self.slow_phase = None;
             return None;
@@ -151,20 +185,39 @@ mod tests {
     use super::*;
 
     /// Begins a TTI whenever the one before is over and the pace of 10 ms allows it; TTI k takes `durations[k]` ms.
-    /// Returns the TTI before which the pace was reported as too fast, and the mean duration in ms.
-    fn watch(durations: &[u64]) -> Option<(usize, u128)> {
-        let (mut watch, start) = (PaceWatch::default(), Instant::now());
-        let mut time = 0;
+    /// Returns the times in ms at which TTIs began, the TTI before which the pace was reported as too fast, and the
+    /// mean duration in ms.
+    fn play(durations: &[u64]) -> (Vec<u64>, Option<(usize, u128)>) {
+        let (mut schedule, mut watch) = (Schedule::default(), PaceWatch::default());
+        let start = Instant::now();
+        let (mut now, mut begins, mut report) = (start, Vec::new(), None);
         for (k, duration) in durations.iter().enumerate() {
-            let due = 10 * k as u64;
-            let begin = due.max(time);
-            let delay = Duration::from_millis(begin - due);
-            if let Some(mean) = watch.record(Tti(k as u64), delay, start + Duration::from_millis(begin)) {
-                return Some((k, mean.as_millis()));
-            }
-            time = begin + duration;
+            let tti = Tti(k as u64);
+            let due = schedule.due(tti, Duration::from_millis(10), now);
+            let begin = due.max(now);
+            let mean = watch.record(tti, begin - due, schedule.backlog(begin), begin);
+            report = report.or(mean.map(|mean| (k, mean.as_millis())));
+            begins.push((begin - start).as_millis() as u64);
+            now = begin + Duration::from_millis(*duration);
         }
-        None
+        (begins, report)
+    }
+
+    fn watch(durations: &[u64]) -> Option<(usize, u128)> {
+        play(durations).1
+    }
+
+    #[test]
+    fn a_run_keeps_its_pace_after_an_outage_and_catches_up_jitter() {
+        let mut durations = vec![1; 100];
+        (durations[10], durations[50]) = (240, 20_000);
+        let (begins, _) = play(&durations);
+        assert_eq!(begins[11..14], [340, 341, 342], "without a pause after a short delay");
+        assert_eq!(begins[49], 490, "on schedule again");
+        let resumed = begins[51];
+        assert_eq!(resumed, 20_500);
+        let expected: Vec<u64> = (0..49).map(|k| resumed + 10 * k).collect();
+        assert_eq!(begins[51..], expected, "at the pace after the outage");
     }
 
     #[test]
@@ -177,7 +230,8 @@ mod tests {
         );
         let mut frozen = vec![9; 3000];
         frozen[50] = 5000;
-        assert_eq!(watch(&frozen), None, "after a long TTI the others catch up");
+        assert_eq!(watch(&frozen), None, "after a long TTI the others are on time");
+        assert_eq!(watch(&[300; 100]), Some((21, 300)), "each TTI is as long as an outage");
         let mut slow_for_a_while = [vec![11; 60], vec![9; 3000]].concat();
         slow_for_a_while[30] = 600;
         assert_eq!(

@@ -60,6 +60,8 @@ pub struct DecisionCounts {
 /// [`OnLoss::Continue`] removes the devices of lost hosts.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerConfig {
+    /// The identity of the run, which a resumed run keeps.
+    pub run_id: u64,
     /// Grant as many TTIs at a time as possible, or one.
     pub lookahead: bool,
     /// The pace; a real-time pace grants one TTI at a time.

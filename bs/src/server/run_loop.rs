@@ -15,7 +15,7 @@ use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
 use super::barrier::GrantOptions;
-use super::clock::{Lateness, PaceWatch};
+use super::clock::{Lateness, PaceWatch, Schedule};
 use super::config::{RunProgress, ServerConfig, ServerOutcome};
 use super::downlink::Downlink;
 use super::error::BsError;
@@ -58,13 +58,12 @@ pub(super) struct RunLoop<'a> {
     removed_hosts: RemovedHosts,
     grant_count: u64,
     lateness: Lateness,
-    /// The pace to which `last_due` belongs; the clock may have a new one.
+    /// The pace to which `schedule` belongs; the clock may have a new one.
     pace: Pace,
     pace_watch: PaceWatch,
     /// The last TTI whose due time [`RunLoop::wait_until_due`] has reached.
     last_paced: Option<Tti>,
-    /// The moment at which a TTI was or will be due, under a real-time pace.
-    last_due: Option<(Tti, Instant)>,
+    schedule: Schedule,
 }
 
 /// Runs `session` to its end, or until it is interrupted. All devices must have hosts.
@@ -84,7 +83,7 @@ pub(super) async fn run(
         lateness: Lateness::default(),
         pace_watch: PaceWatch::default(),
         last_paced: None,
-        last_due: None,
+        schedule: Schedule::default(),
     };
     run_loop.publish_progress();
     run_loop.context.progress.has_begun.store(true, Ordering::Relaxed);
@@ -195,7 +194,7 @@ impl RunLoop<'_> {
             }
             // The new pace counts from now; due times of the old one would make it late from the start.
             if pace != self.pace {
-                (self.pace, self.last_due, self.pace_watch) = (pace, None, PaceWatch::default());
+                (self.pace, self.schedule, self.pace_watch) = (pace, Schedule::default(), PaceWatch::default());
             }
             self.context.progress.is_paused.store(is_paused, Ordering::Relaxed);
             let needs_retransmit = std::mem::take(&mut self.context.shared.lock().needs_retransmit);
@@ -207,7 +206,7 @@ impl RunLoop<'_> {
             }
             // Paused time does not count as lateness.
             if is_paused {
-                self.last_due = None;
+                self.schedule = Schedule::default();
             }
             let _changed = tokio::time::timeout(CHECK_INTERVAL, self.context.shared.wait_for_change()).await;
         }
@@ -425,15 +424,14 @@ impl RunLoop<'_> {
         };
         let tti_duration = Duration::from_micros(micros);
         let now = now();
-        let due = match self.last_due {
-            Some((tti, moment)) => moment + tti_duration.saturating_mul((first - tti) as u32),
-            None => now,
-        };
+        let due = self.schedule.due(first, tti_duration, now);
         if due < now {
             self.lateness.record_delay(now - due);
         }
         let delay = now.saturating_duration_since(due);
-        if let Some(mean) = self.pace_watch.record(first, delay, now.max(due)) {
+        let begin = now.max(due);
+        let backlog = self.schedule.backlog(begin);
+        if let Some(mean) = self.pace_watch.record(first, delay, backlog, begin) {
             let (pace, mean) = (self.pace, mean.as_secs_f64() * 1e3);
             tracing::warn!(
                 tti = %first,
@@ -441,8 +439,6 @@ impl RunLoop<'_> {
                  begin later and later; use a slower --pace, or `reveille clock pace`"
             );
         }
-        // The next TTI counts from when this one was due, not from when it began, so delays do not add up.
-        self.last_due = Some((first, due));
         self.sleep_until(due).await
     }
 

@@ -50,6 +50,8 @@ pub(super) struct ServerState {
     pub(super) failure: Option<String>,
     /// Action when a host is lost.
     pub(super) on_loss: OnLoss,
+    /// The identity of the run.
+    pub(super) run_id: u64,
 }
 
 impl ServerState {
@@ -77,6 +79,7 @@ impl ServerState {
     pub(super) fn clock_status(&self) -> ClockStatus {
         let end = self.clock.end();
         ClockStatus {
+            run_id: self.run_id,
             tti: self.next_tti,
             ttis: end.0,
             paused: self.is_paused && self.next_tti >= self.clock.until(),
@@ -148,6 +151,7 @@ impl SharedState {
             process_count: 0,
             failure: None,
             on_loss: settings.on_loss,
+            run_id: settings.run_id,
         };
         Arc::new(Self {
             state: Mutex::new(state),

@@ -1,12 +1,16 @@
 //! A log of refused peers for a base station with TLS. zenoh logs a failed handshake with a misleading hint, and each
 //! message that it drops only at its most detailed level, together with each message that it admits. This layer picks
 //! the refusals and logs them as warnings, without the secrets in keys.
+//!
+//! After a restart of the base station, its hosts reconnect with the secret of the former one, until they join again.
+//! Each host then causes several refusals. The log has the first one of each peer, and later their number.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{PoisonError, RwLock};
+use std::time::Duration;
 
 use tracing::callsite::Identifier;
 use tracing::field::{Field, Visit};
@@ -15,7 +19,9 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Context, Layer};
 use tracing_subscriber::registry::LookupSpan;
 
+use super::tls::Role;
 use crate::keys;
+use crate::message::MessageKind;
 
 /// zenoh's module that accepts TLS connections.
 const TLS_LISTENER: &str = "zenoh_link_tls::unicast";
@@ -29,6 +35,10 @@ const LAST_PERMISSION: &str = " Declare Liveliness Subscriber (ingress) on ";
 const MAX_QUEUED_TEXTS: usize = 1_024;
 /// Different refusals that are logged; later ones are not.
 const MAX_TEXTS: usize = 1_000;
+/// Time without a refusal after which the number of refusals of each host is logged.
+const QUIET_TIME: Duration = Duration::from_secs(5);
+/// zenoh's name for the declaration of a liveliness token.
+const TOKEN: &str = "Liveliness Token";
 
 thread_local! {
     /// Whether the events of this thread are permissions and not messages.
@@ -37,7 +47,7 @@ thread_local! {
 
 /// The layer of the log. It passes refusals to a thread, because an event must not cause another one.
 pub struct RefusalLog {
-    queue: SyncSender<String>,
+    queue: SyncSender<Refusal>,
     /// The places in zenoh that log admitted messages, whose events are not formatted again.
     admissions: RwLock<Vec<Identifier>>,
 }
@@ -51,25 +61,27 @@ impl RefusalLog {
     where
         S: Subscriber + for<'a> LookupSpan<'a>,
     {
-        let (queue, refusals) = sync_channel::<String>(MAX_QUEUED_TEXTS);
+        let (queue, refusals) = sync_channel(MAX_QUEUED_TEXTS);
         std::thread::Builder::new().name("refusals".to_owned()).spawn(move || {
-            let mut counts: BTreeMap<String, u64> = BTreeMap::new();
-            let mut is_full = false;
-            for text in refusals {
-                if counts.len() >= MAX_TEXTS && !counts.contains_key(&text) {
-                    if !is_full {
-                        is_full = true;
-                        tracing::warn!("too many different refusals; further ones are not logged");
+            let mut counts = RefusalCounts::default();
+            loop {
+                let received = if counts.hosts.is_empty() {
+                    refusals.recv().map_err(RecvTimeoutError::from)
+                } else {
+                    refusals.recv_timeout(QUIET_TIME)
+                };
+                match received {
+                    Ok(refusal) => {
+                        if let Some(line) = counts.add(refusal) {
+                            tracing::warn!("{line}");
+                        }
                     }
-                    continue;
-                }
-                let count = counts.entry(text.clone()).or_default();
-                *count += 1;
-                // A client repeats a refused attempt for a while.
-                if *count == 1 {
-                    tracing::warn!("{text}");
-                } else if count.is_power_of_two() {
-                    tracing::warn!("{text} ({count} times)");
+                    Err(RecvTimeoutError::Timeout) => {
+                        for line in counts.take_host_lines() {
+                            tracing::warn!("{line}");
+                        }
+                    }
+                    Err(RecvTimeoutError::Disconnected) => return,
                 }
             }
         })?;
@@ -104,7 +116,10 @@ impl<S: Subscriber> Layer<S> for RefusalLog {
         }
         let refusal = if event.metadata().target() == TLS_LISTENER {
             let cause = message.0.split(". Hint:").next().unwrap_or_default();
-            Some(format!("refused a TLS connection: {cause}"))
+            Some(Refusal {
+                text: format!("refused a TLS connection: {cause}"),
+                host_peer: None,
+            })
         } else if is_admission(&message.0) {
             let mut admissions = self.admissions.write().unwrap_or_else(PoisonError::into_inner);
             admissions.push(place);
@@ -119,6 +134,60 @@ impl<S: Subscriber> Layer<S> for RefusalLog {
     }
 }
 
+/// A refusal to log.
+#[derive(Debug, PartialEq, Eq)]
+struct Refusal {
+    text: String,
+    /// The peer, if it may do this with the secret of the run: it is a host of an earlier base station, or a stranger
+    /// that tries a secret.
+    host_peer: Option<String>,
+}
+
+/// The refusals so far.
+#[derive(Default)]
+struct RefusalCounts {
+    texts: BTreeMap<String, u64>,
+    /// Whether a text was left out.
+    is_full: bool,
+    /// The number of refusals of each [`Refusal::host_peer`] since the last quiet time.
+    hosts: BTreeMap<String, u64>,
+}
+
+impl RefusalCounts {
+    /// Counts a refusal and returns the line to log for it, if any.
+    fn add(&mut self, Refusal { text, host_peer }: Refusal) -> Option<String> {
+        if let Some(peer) = host_peer
+            && (self.hosts.len() < MAX_TEXTS || self.hosts.contains_key(&peer))
+        {
+            let count = self.hosts.entry(peer).or_default();
+            *count += 1;
+            let note = "the peer lacks the role or the secret of the run; hosts of an earlier base station join again";
+            return (*count == 1).then(|| format!("{text}: {note}"));
+        }
+        if self.texts.len() >= MAX_TEXTS && !self.texts.contains_key(&text) {
+            let is_first = !std::mem::replace(&mut self.is_full, true);
+            return is_first.then(|| "too many different refusals; further ones are not logged".to_owned());
+        }
+        let count = self.texts.entry(text.clone()).or_default();
+        *count += 1;
+        // A client repeats a refused attempt for a while.
+        if *count == 1 {
+            Some(text)
+        } else {
+            count.is_power_of_two().then(|| format!("{text} ({count} times)"))
+        }
+    }
+
+    /// Returns the lines with the number of refusals of each host with several, and forgets the hosts.
+    fn take_host_lines(&mut self) -> Vec<String> {
+        let hosts = std::mem::take(&mut self.hosts).into_iter();
+        let several = hosts.filter(|(_, count)| *count > 1);
+        several
+            .map(|(peer, count)| format!("refused by the access rules: {count} messages in all, from peer {peer}"))
+            .collect()
+    }
+}
+
 /// Whether `text` is zenoh's note that a rule admitted a message. The key at its end comes from the peer, so only the
 /// first verb counts.
 fn is_admission(text: &str) -> bool {
@@ -128,7 +197,7 @@ fn is_admission(text: &str) -> bool {
 
 /// Describes a message of a peer that a rule refused: zenoh's text is `PEER[ on SUBJECT] is unauthorized to ACTION
 /// (ingress) on KEY`. `None` for other texts, and for messages that the BS would have sent to the peer.
-fn describe_refusal(text: &str) -> Option<String> {
+fn describe_refusal(text: &str) -> Option<Refusal> {
     let (peer, refused) = text.split_once(" is unauthorized to ")?;
     let (action, key) = refused.split_once(" (ingress) on ")?;
     let (peer, role) = peer.split_once(" on ").unwrap_or((peer, ""));
@@ -136,11 +205,10 @@ fn describe_refusal(text: &str) -> Option<String> {
     let role = role
         .split_once("CertCommonName(")
         .and_then(|(_, rest)| rest.split_once(')'));
-    let role = role.map_or_else(String::new, |(role, _)| {
-        format!(" with a certificate of the role {role}")
-    });
-    let subject = match keys::classify(key) {
-        Some((kind, _)) => format!("messages of kind {}", kind.name()),
+    let role = role.map(|(role, _)| role);
+    let kind = keys::classify(key).map(|(kind, _)| kind);
+    let subject = match kind {
+        Some(kind) => format!("messages of kind {}", kind.name()),
         // Secrets of the run are parts of keys.
         None => key
             .split('/')
@@ -150,9 +218,23 @@ fn describe_refusal(text: &str) -> Option<String> {
             // The peer chooses the key, and must not write lines of the log.
             .replace(char::is_control, ""),
     };
-    Some(format!(
-        "refused by the access rules: {action} for {subject}, from peer {peer}{role}"
-    ))
+    let may_be_host = role.is_none_or(|role| role == Role::Device.name()) && is_right_of_hosts(action, kind);
+    let role = role.map_or_else(String::new, |role| format!(" with a certificate of the role {role}"));
+    Some(Refusal {
+        text: format!("refused by the access rules: {action} for {subject}, from peer {peer}{role}"),
+        host_peer: may_be_host.then(|| peer.to_owned()),
+    })
+}
+
+/// Whether the rules of `access` allow hosts with the secret of the run this action on messages of `kind`.
+fn is_right_of_hosts(action: &str, kind: Option<MessageKind>) -> bool {
+    use MessageKind::{Answer, Clock, Plan, Ready, Report, Wake};
+    match action {
+        "Declare Subscriber" => matches!(kind, Some(Clock | Plan | Wake)),
+        "Put" => matches!(kind, Some(Report | Answer)),
+        "Query" => kind == Some(Ready),
+        _ => action == TOKEN,
+    }
 }
 
 /// The message of an event.
@@ -176,20 +258,20 @@ mod tests {
         let secret = "ab".repeat(16);
         let peer = "7f on Interface(lo)+CertCommonName(device)+Transport(Tls)+7f";
         let text = format!("{peer} is unauthorized to Put (ingress) on reveille/r/@{secret}/air/plan/*");
-        let described = describe_refusal(&text).expect("a refusal");
+        let described = describe_refusal(&text).expect("a refusal").text;
         assert!(
             described.contains("Put for messages of kind plan, from peer 7f with a certificate of the role device"),
             "{described}"
         );
         let text = format!("Using cached result: 7f is unauthorized to Put (ingress) on reveille/r/@{secret}/emu/x/1");
-        let described = describe_refusal(&text).expect("a refusal");
+        let described = describe_refusal(&text).expect("a refusal").text;
         assert!(
             described.contains("reveille/r/emu/x/1, from peer 7f") && !described.contains(&secret),
             "{described}"
         );
         let deceptive = "7f is unauthorized to Put (ingress) on x is authorized to \ny";
         assert!(!is_admission(deceptive) && is_admission("7f is authorized to Put (ingress) on x"));
-        assert!(!describe_refusal(deceptive).expect("a refusal").contains('\n'));
+        assert!(!describe_refusal(deceptive).expect("a refusal").text.contains('\n'));
         assert_eq!(
             describe_refusal("7f is unauthorized to Put (egress) on reveille/r/tap"),
             None
@@ -198,5 +280,49 @@ mod tests {
             describe_refusal("7f is authorized to Put (ingress) on reveille/r/tap"),
             None
         );
+    }
+    #[test]
+    fn refusals_of_a_former_host_are_one_line_and_their_number() {
+        let secret = "ab".repeat(16);
+        let refuse = |counts: &mut RefusalCounts, role: &str, action: &str, key: &str| {
+            let subject = format!("7f on Interface(lo)+CertCommonName({role})+Transport(Tls)+7f");
+            let text = format!("{subject} is unauthorized to {action} (ingress) on reveille/r/@{secret}/{key}");
+            counts.add(describe_refusal(&text).expect("a refusal"))
+        };
+        let rejoin = [
+            ("Declare Subscriber", "emu/clock"),
+            ("Declare Subscriber", "air/plan"),
+            ("Declare Subscriber", "air/wake/7/*"),
+            ("Liveliness Token", "emu/alive/7"),
+            ("Query", "emu/ready"),
+            ("Put", "emu/answer/7"),
+        ];
+        let mut counts = RefusalCounts::default();
+        for outage in 0..2 {
+            let lines: Vec<_> = rejoin
+                .iter()
+                .filter_map(|(action, key)| refuse(&mut counts, "device", action, key))
+                .collect();
+            assert_eq!(lines.len(), 1, "outage {outage}: {lines:?}");
+            assert!(
+                lines[0].contains("from peer 7f with a certificate of the role device"),
+                "{lines:?}"
+            );
+            let last = counts.take_host_lines();
+            assert_eq!(last, ["refused by the access rules: 6 messages in all, from peer 7f"]);
+        }
+        // Hosts never send these, and an observer has none of the rights above.
+        for (role, action, key) in [
+            ("device", "Put", "emu/clock"),
+            ("device", "Declare Subscriber", "emu/answer/7"),
+            ("observer", "Declare Subscriber", "air/plan"),
+            ("observer", "Query", "emu/ready"),
+        ] {
+            assert!(
+                refuse(&mut counts, role, action, key).is_some(),
+                "{role}: {action} {key}"
+            );
+        }
+        assert!(counts.take_host_lines().is_empty());
     }
 }

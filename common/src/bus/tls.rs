@@ -4,7 +4,9 @@
 //!
 //! zenoh 1.10.2 reads and writes a TLS stream in two tasks without a lock (zenoh issue 2557). On two threads the tasks
 //! corrupt its state: links fail with "handshake not complete". A process with TLS therefore must run all tasks of
-//! zenoh on one thread (`deploy/src/child_process.rs`).
+//! zenoh on one thread (`deploy/src/child_process.rs`). The close of a link blocks this thread until the peer has
+//! acknowledged the last bytes, or for `TLS_LINGER_TIMEOUT` seconds if the link is cut. zenoh reads that limit when it
+//! is compiled, and `.cargo/config.toml` sets it.
 
 use std::path::{Path, PathBuf};
 
@@ -148,6 +150,16 @@ mod tests {
 
     fn parse(address: &str) -> Result<(&str, &str, u16), BusError> {
         Endpoint::from(address).parse()
+    }
+
+    #[test]
+    fn zenoh_is_compiled_with_a_short_limit_for_cut_links() {
+        let limits = [option_env!("TCP_LINGER_TIMEOUT"), option_env!("TLS_LINGER_TIMEOUT")];
+        assert_eq!(
+            limits,
+            [Some("1"); 2],
+            "build in a folder to which .cargo/config.toml applies"
+        );
     }
 
     #[test]

@@ -67,6 +67,9 @@ impl fmt::Display for ClockCommand {
 /// `docs/running.md` quote.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockStatus {
+    /// The identity of the run: a random number, which a resumed run keeps. Another run with the same name has another
+    /// one.
+    pub run_id: u64,
     /// The next TTI to be granted.
     pub tti: Tti,
     /// Length K of the run.
@@ -141,6 +144,7 @@ impl fmt::Display for ClockStatus {
             begun,
             devices,
             hosts,
+            ..
         } = self;
         let mut lost_hosts = self.lost_hosts().peekable();
         if !begun {
@@ -176,6 +180,7 @@ mod tests {
     #[test]
     fn a_status_is_shown_with_the_state_of_the_clock() {
         let running = ClockStatus {
+            run_id: 7,
             tti: Tti(12),
             ttis: 400,
             paused: false,

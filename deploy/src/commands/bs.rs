@@ -80,13 +80,14 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let bus = Bus::listen(endpoint, run.clone()).await?;
     // The folder comes last: --force empties it, and an endpoint in use must not cost the old run.
     let folder = RunFolder::create(&args.output, &scenario)?;
-    earlier.write(folder.path(), Some(&run), (listen, bus.endpoint()))?;
+    let run_id = earlier.write(folder.path(), Some(&run), (listen, bus.endpoint()))?;
     let window = window_length(&args.output, &scenario);
     let key = match &args.key_file {
         Some(path) => key::read_or_create(path)?,
         None => draw_secret()?,
     };
     let settings = ServerConfig {
+        run_id,
         join_timeout: args.join_timeout,
         run_key: Some(key),
         // A drawn key reaches no device process that was started by hand, so only a key file limits the members.
@@ -165,13 +166,14 @@ pub(crate) struct RunService<'a> {
     pub started: Instant,
 }
 
-/// Returns the settings that the command line requests, with windows of `window` TTIs. The caller sets `join_timeout`,
-/// `run_key` and `join_needs_key`, which differ between `bs` and `up`.
+/// Returns the settings that the command line requests, with windows of `window` TTIs. The caller sets `run_id`,
+/// `join_timeout`, `run_key` and `join_needs_key`, which differ between runs.
 pub(crate) fn server_settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> ServerConfig {
     if drive.no_lookahead && drive.pace != Pace::Max {
         tracing::warn!("--no-lookahead has no effect: a real-time --pace already grants every TTI separately");
     }
     ServerConfig {
+        run_id: 0,
         lookahead: !drive.no_lookahead,
         pace: drive.pace,
         on_loss: drive.on_loss.into(),

@@ -59,9 +59,10 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     match open_bus(args, (&earlier, listen), processes, &folder).await {
-        Ok((bus, run)) => {
+        Ok((bus, run, run_id)) => {
             let service = RunService {
                 settings: ServerConfig {
+                    run_id,
                     join_timeout: Some(scaled_timeout(JOIN_TIMEOUT, processes)),
                     run_key: Some(draw_secret()?),
                     join_needs_key: true,
@@ -98,11 +99,11 @@ async fn open_bus(
     (earlier, listen): (&SavedAddress, &str),
     processes: u32,
     folder: &RunFolder,
-) -> anyhow::Result<(Bus, RunName)> {
+) -> anyhow::Result<(Bus, RunName, u64)> {
     let run = earlier.run_in(args.run.as_ref(), folder.path())?;
     let bus = Bus::listen_for_hosts(processes, listen, run.clone()).await?;
-    earlier.write(folder.path(), args.run.as_ref(), (listen, bus.endpoint()))?;
-    Ok((bus, run))
+    let run_id = earlier.write(folder.path(), args.run.as_ref(), (listen, bus.endpoint()))?;
+    Ok((bus, run, run_id))
 }
 
 /// Serves the run to devices in this process or in `processes` others.

@@ -73,6 +73,14 @@ impl CatchUp {
         self.passed.restart();
     }
 
+    /// Notes that frames were lost before the next received one.
+    pub(crate) const fn note_gap(&mut self) {
+        // During the catch-up the replay has them.
+        if self.is_over {
+            self.passed.note_gap();
+        }
+    }
+
     /// Whether the catch-up is complete, so that received frames are passed on.
     pub(crate) const fn is_over(&self) -> bool {
         self.is_over
@@ -367,6 +375,7 @@ mod tests {
                     );
                 }
             }
+            self.assert_continues_after_gap(scenario, &sent, &expected);
             // The connection is lost, and frames with it. A base station that was resumed sends earlier frames again.
             for lost_at in (0..count).step_by(41) {
                 for back_at in [lost_at.saturating_sub(60), lost_at, lost_at + 3, lost_at + 90] {
@@ -390,6 +399,46 @@ mod tests {
                     }
                     assert_eq!(next_tti, end.0);
                 }
+            }
+        }
+    }
+
+    impl ReceivedRun {
+        /// Asserts that an observer that lost messages, and then the connection, receives each later TTI once.
+        fn assert_continues_after_gap(&self, scenario: &Scenario, sent: &SentRun<'_>, expected: &[Frame]) {
+            let count = self.frames.len();
+            for gap in (40..count - 60).step_by(211) {
+                let mut observer = Observer::new(scenario);
+                observer.join(sent, 0..gap, false);
+                observer.catch_up.note_gap();
+                observer.receive(sent, gap + 9..gap + 20);
+                observer.catch_up.restart();
+                for back_at in [gap.saturating_sub(30), gap + 40] {
+                    observer.join(sent, back_at..back_at + 1, false);
+                    observer.catch_up.restart();
+                }
+                observer.join(sent, count - 10..count, false);
+                let received: Vec<_> = observer
+                    .received
+                    .iter()
+                    .filter(|frame| frame.kind != MessageKind::World)
+                    .collect();
+                assert!(received.len() < expected.len(), "a gap at frame {gap}");
+                // The received frames are a part of the sent ones, in their order.
+                let mut remaining = expected.iter();
+                for frame in &received {
+                    assert!(
+                        remaining.any(|sent| sent == *frame),
+                        "a gap at frame {gap}: {frame:?} is repeated"
+                    );
+                }
+                let last_before = self.frames[..gap + 20].iter().map(|frame| frame.tti).max();
+                let later = |frame: &Frame| Some(frame.tti) > last_before;
+                assert_eq!(
+                    received.iter().filter(|frame| later(frame)).count(),
+                    expected.iter().filter(|frame| later(frame)).count(),
+                    "a gap at frame {gap}"
+                );
             }
         }
     }
@@ -426,6 +475,7 @@ mod tests {
                     Ok(_) | Err(_) => None,
                 });
             ClockStatus {
+                run_id: 7,
                 tti: next_tti.unwrap_or_default(),
                 ttis: self.scenario.run.ttis,
                 paused,
@@ -459,6 +509,12 @@ mod tests {
             catch_up
                 .replay_closed_ttis(&status, |frame| received.push(frame))
                 .expect("a consistent run");
+            self.receive(sent, frames);
+        }
+
+        /// Receives `frames`.
+        fn receive(&mut self, sent: &SentRun<'_>, frames: Range<usize>) {
+            let Self { catch_up, received } = self;
             for index in frames {
                 catch_up
                     .read_input_log(&sent.log_before(index + 1)[catch_up.bytes_read() as usize..])

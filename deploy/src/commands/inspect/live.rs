@@ -184,8 +184,7 @@ impl Live {
     /// # Errors
     /// If the bus fails, or the base station that returns has another run.
     async fn wait_for_return(&mut self) -> anyhow::Result<bool> {
-        // After dropped messages, the number of those passed on is not the position in the run.
-        if self.signals.has_arrived() || self.frames.is_run_over || self.frames.dropped_frames > 0 {
+        if self.signals.has_arrived() || self.frames.is_run_over {
             return Ok(false);
         }
         let limit = if self.return_timeout == Duration::MAX {
@@ -207,12 +206,16 @@ impl Live {
             return Ok(false);
         };
         anyhow::ensure!(
-            (status.ttis, status.devices) == (self.status.ttis, self.devices),
+            status.run_id == self.status.run_id,
             "another run called {} answers now; start again to observe it",
             self.run_name
         );
         (self.on_reachability)(true);
-        note!("the base station is back: {status}");
+        let dropped = match self.frames.dropped_frames {
+            0 => String::new(),
+            dropped => format!("; {} dropped before (reader too slow)", count_noun(dropped, "message")),
+        };
+        note!("the base station is back: {status}{dropped}");
         self.status = status;
         self.frames.resume();
         Ok(true)
@@ -288,7 +291,7 @@ impl Live {
                 })?;
                 continue;
             }
-            let Some((frames, _)) = self.next().await else {
+            let Some((frames, dropped_before)) = self.next().await else {
                 if !self.wait_for_return().await? {
                     break;
                 }
@@ -300,6 +303,9 @@ impl Live {
                 must_replay = is_running;
                 continue;
             };
+            if dropped_before > 0 {
+                catch_up.note_gap();
+            }
             // The kinds before which `CatchUp::push` needs the log. No others: the tap also copies the query below,
             // which must not trigger the next one.
             let may_trigger_replay =

@@ -15,12 +15,26 @@ pub(super) struct PassedFrames {
     states_end: Tti,
     /// The TTI before which all world frames were passed on.
     world_end: Tti,
+    /// Whether `passed` is too low, because frames were lost.
+    has_gap: bool,
+    /// The last TTI of the frames that count in `passed`.
+    last_tti: Tti,
+    /// After a gap and a restart: the last TTI of which no further frame is passed on.
+    skipped_until: Option<Tti>,
 }
 
 impl PassedFrames {
     /// The frames come from TTI 0 on again.
     pub(super) const fn restart(&mut self) {
         self.seen = 0;
+        if self.has_gap && self.passed > 0 {
+            self.skipped_until = Some(self.last_tti);
+        }
+    }
+
+    /// Notes that frames were lost. After the next restart no more frames are passed on for the TTIs of earlier ones.
+    pub(super) const fn note_gap(&mut self) {
+        self.has_gap = true;
     }
 
     /// Returns `frame` if it was not passed on before.
@@ -33,15 +47,19 @@ impl PassedFrames {
             return Some(frame);
         }
         if frame.kind == MessageKind::States {
-            let is_new = self.seen >= self.passed && frame.tti >= self.states_end;
+            let is_new = self.skipped_until.is_none() && self.seen >= self.passed && frame.tti >= self.states_end;
             self.states_end = self.states_end.max(frame.tti + 1);
             return is_new.then_some(frame);
         }
+        if self.skipped_until.is_some_and(|last| frame.tti > last) {
+            // From here on the count is the position in the run again.
+            (self.skipped_until, self.has_gap, self.passed) = (None, false, self.seen);
+        }
         self.seen += 1;
-        if self.seen <= self.passed {
+        if self.skipped_until.is_some() || self.seen <= self.passed {
             return None;
         }
-        self.passed = self.seen;
+        (self.passed, self.last_tti) = (self.seen, self.last_tti.max(frame.tti));
         Some(frame)
     }
 

@@ -8,6 +8,21 @@ use super::faults::Fault;
 use crate::cli::FaultKind;
 use crate::display::shell_word;
 
+/// The phase of a container, the first word or words of its status.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// Its process runs.
+    Running,
+    /// Its process is frozen.
+    Paused,
+    /// The engine starts it again after its process has ended.
+    Restarting,
+    /// Its process has ended, and the engine does not start it again.
+    Exited,
+    /// It has not been started, or is being removed.
+    Other,
+}
+
 /// A container of a project.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Container {
@@ -20,9 +35,30 @@ pub(super) struct Container {
 }
 
 impl Container {
+    /// Its phase. No other code reads the words of a status.
+    pub(super) fn phase(&self) -> Phase {
+        match self.status.split(' ').next() {
+            Some("Up") if self.status.contains("(Paused)") => Phase::Paused,
+            Some("Up") => Phase::Running,
+            Some("Restarting") => Phase::Restarting,
+            Some("Exited") => Phase::Exited,
+            _ => Phase::Other,
+        }
+    }
+
+    /// Whether it has a process, frozen or not.
+    pub(super) fn is_up(&self) -> bool {
+        matches!(self.phase(), Phase::Running | Phase::Paused)
+    }
+
+    /// Whether its process has ended without an error, and the engine does not start it again.
+    pub(super) fn is_complete(&self) -> bool {
+        self.phase() == Phase::Exited && self.exit_code() == Some(0)
+    }
+
     /// Its state, for users.
     pub(super) fn state(&self) -> String {
-        let cut_off = self.status.starts_with("Up") && !self.is_connected;
+        let cut_off = self.is_up() && !self.is_connected;
         format!("{}{}", self.status, if cut_off { ", disconnected" } else { "" })
     }
 
@@ -30,12 +66,12 @@ impl Container {
     pub(super) fn check_runs(&self, fault: &Fault) -> anyhow::Result<()> {
         let Self { service, status, .. } = self;
         ensure!(
-            status.starts_with("Up"),
+            self.is_up(),
             "{fault}: {service} does not run ({status}); only running containers can be disturbed"
         );
         let needs_processes = matches!(fault.kind, FaultKind::Kill | FaultKind::Pause | FaultKind::Stop);
         ensure!(
-            !needs_processes || !status.contains("(Paused)"),
+            !needs_processes || self.phase() != Phase::Paused,
             "{fault}: {service} is paused; end that with `restore` first"
         );
         Ok(())
@@ -47,22 +83,22 @@ impl Container {
     /// If it does not run; the error has the command to use instead.
     pub(super) fn check_answers(&self, folder: &Path) -> anyhow::Result<()> {
         let (Self { service, status, .. }, folder) = (self, shell_word(folder));
-        if status.contains("(Paused)") {
+        if self.phase() == Phase::Paused {
             bail!(
                 "{service}: the container is paused; end that with `reveille testbed fault {folder} restore {service}`"
             );
         }
         ensure!(
-            self.exit_code() != Some(0),
+            !self.is_complete(),
             "{service}: the run is over; `reveille testbed results {folder}` copies its results"
         );
         ensure!(
-            !status.starts_with("Restarting"),
+            self.phase() != Phase::Restarting,
             "{service}: the engine is starting the container again ({status}); repeat the command, or read \
              `reveille testbed logs {folder} {service}`"
         );
         ensure!(
-            status.starts_with("Up"),
+            self.is_up(),
             "{service}: the container does not run ({status}); start it with `reveille testbed up {folder}`"
         );
         Ok(())
@@ -70,9 +106,9 @@ impl Container {
 
     /// The exit code of its last process; `None` while one runs.
     pub(super) fn exit_code(&self) -> Option<u8> {
-        let (state, rest) = self.status.split_once(" (")?;
+        let (_, rest) = self.status.split_once(" (")?;
         let (code, _) = rest.split_once(')')?;
-        ["Exited", "Restarting"].contains(&state).then(|| code.parse().ok())?
+        matches!(self.phase(), Phase::Exited | Phase::Restarting).then(|| code.parse().ok())?
     }
 }
 
@@ -103,6 +139,11 @@ mod tests {
                 "bs: the container does not run (Created); start it with `reveille testbed up my`",
             ),
             (
+                "Restarting (0) 2 seconds ago",
+                "bs: the engine is starting the container again (Restarting (0) 2 seconds ago); repeat the command, or \
+                 read `reveille testbed logs my bs`",
+            ),
+            (
                 "Restarting (1) 2 seconds ago",
                 "bs: the engine is starting the container again (Restarting (1) 2 seconds ago); repeat the command, or \
                  read `reveille testbed logs my bs`",
@@ -114,15 +155,23 @@ mod tests {
     }
 
     #[test]
-    fn a_status_has_the_exit_code_of_an_ended_process() {
-        for (status, exit_code) in [
-            ("Up 5 seconds (healthy)", None),
-            ("Up 2 minutes (Paused)", None),
-            ("Exited (0) 3 seconds ago", Some(0)),
-            ("Restarting (137) Less than a second ago", Some(137)),
-            ("Created", None),
+    fn a_status_has_the_phase_and_the_exit_code_of_an_ended_process() {
+        for (status, phase, exit_code) in [
+            ("Up 5 seconds (healthy)", Phase::Running, None),
+            ("Up 2 minutes (Paused)", Phase::Paused, None),
+            ("Exited (0) 3 seconds ago", Phase::Exited, Some(0)),
+            ("Restarting (0) 3 seconds ago", Phase::Restarting, Some(0)),
+            ("Restarting (137) Less than a second ago", Phase::Restarting, Some(137)),
+            ("Created", Phase::Other, None),
+            ("", Phase::Other, None),
         ] {
-            assert_eq!(container(status).exit_code(), exit_code, "{status}");
+            let container = container(status);
+            assert_eq!(
+                (container.phase(), container.exit_code()),
+                (phase, exit_code),
+                "{status}"
+            );
+            assert_eq!(container.is_complete(), status.starts_with("Exited (0)"), "{status}");
         }
     }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail, ensure};
 
 use super::compose::{COMPOSE_FILE, NETWORK};
-use super::container::Container;
+use super::container::{Container, Phase};
 use super::faults::Fault;
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, CERTIFICATES_SERVICE};
@@ -251,7 +251,7 @@ impl Docker {
         let began = crate::runtime::now();
         loop {
             let container = self.container(project, service)?;
-            if !container.status.starts_with("Restarting") || began.elapsed() > RESTART_PATIENCE {
+            if container.phase() != Phase::Restarting || began.elapsed() > RESTART_PATIENCE {
                 return Ok(container);
             }
             std::thread::sleep(POLL_INTERVAL);
@@ -328,7 +328,7 @@ impl Docker {
 
     /// The memory of running containers, by id.
     pub(super) fn memory(&self, containers: &[Container]) -> anyhow::Result<BTreeMap<String, String>> {
-        let running = containers.iter().filter(|container| container.status.starts_with("Up"));
+        let running = containers.iter().filter(|container| container.is_up());
         let ids: Vec<&str> = running.map(|container| container.id.as_str()).collect();
         if ids.is_empty() {
             return Ok(BTreeMap::new());
@@ -361,10 +361,10 @@ impl Docker {
             FaultKind::Stop => self.run(&["stop", id]),
             FaultKind::Restore => {
                 // Only a fault ends a container while the base station runs.
-                let is_over = self.container(project, BS_SERVICE)?.status.starts_with("Exited");
+                let is_over = self.container(project, BS_SERVICE)?.phase() == Phase::Exited;
                 let Container { service, status, .. } = &container;
                 ensure!(
-                    !is_over || !status.starts_with("Exited"),
+                    !is_over || container.phase() != Phase::Exited,
                     "{fault}: {service} has ended ({status}) like the base station; `reveille testbed up` starts both"
                 );
                 return self.restore(testbed, &network, &container);
@@ -378,9 +378,8 @@ impl Docker {
     /// # Errors
     /// If the engine cannot restore the container.
     pub(super) fn end_fault(&self, testbed: &Testbed, project: &Project, restoration: &Fault) -> anyhow::Result<()> {
-        let has_ended = |service: &str| -> anyhow::Result<bool> {
-            Ok(self.container(project, service)?.status.starts_with("Exited"))
-        };
+        let has_ended =
+            |service: &str| -> anyhow::Result<bool> { Ok(self.container(project, service)?.phase() == Phase::Exited) };
         if has_ended(BS_SERVICE)? && has_ended(&restoration.container)? {
             return Ok(());
         }
@@ -405,7 +404,7 @@ impl Docker {
     pub(super) fn end_left_faults(&self, testbed: &Testbed, project: &Project) -> anyhow::Result<()> {
         let network = format!("{}_{NETWORK}", project.name);
         for container in self.containers(project)? {
-            if container.status.starts_with("Up") {
+            if container.is_up() {
                 self.restore(testbed, &network, &container)?;
             }
         }

@@ -25,7 +25,7 @@ use anyhow::{Context, ensure};
 
 use self::compose::write_compose;
 use self::config::{CONFIG_FILE, TestbedConfig};
-use self::container::Container;
+use self::container::{Container, Phase};
 use self::docker::{Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_clock};
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
@@ -188,8 +188,8 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
     let bs = containers.iter().find(|container| container.service == BS_SERVICE);
     let clock = match bs {
         None => "not started".to_owned(),
-        Some(bs) if bs.status.starts_with("Exited (0)") => "the run is over".to_owned(),
-        Some(bs) if bs.status.starts_with("Exited") => {
+        Some(bs) if bs.is_complete() => "the run is over".to_owned(),
+        Some(bs) if bs.phase() == Phase::Exited => {
             let folder = shell_word(&testbed.folder);
             format!("stopped; continue with `reveille testbed up {folder}`")
         }
@@ -230,7 +230,7 @@ fn print_status(testbed: &Testbed) -> anyhow::Result<()> {
         .find(|container| container.service == DASHBOARD_SERVICE);
     if let Some(url) = dashboard.and_then(|dashboard| docker.dashboard_url(dashboard)) {
         let _infallible = writeln!(text, "dashboard at {url}");
-    } else if testbed.config.tls && !testbed.config.dashboard && bs.is_some_and(|bs| bs.status.starts_with("Up")) {
+    } else if testbed.config.tls && !testbed.config.dashboard && bs.is_some_and(Container::is_up) {
         let _infallible = writeln!(
             text,
             "to watch: set `dashboard = true` in {CONFIG_FILE}, and repeat `testbed up`"
