@@ -37,6 +37,7 @@ use crate::exit;
 use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
 use crate::paths::check_output_folder;
+use crate::recording::RECORDING_EXTENSION;
 use crate::resume_mark::RESUME_MARK_FILE;
 use crate::run_tables;
 use crate::saved_address::{ADDRESS_FILE, run_name};
@@ -334,6 +335,19 @@ fn remove_files(path: &Path, names: impl Iterator<Item = &'static str>) -> anyho
         }
     }
     Ok(())
+}
+
+/// Returns the run folder that holds the recording `path`; another path unchanged.
+pub(crate) fn of_recording(path: &Path) -> PathBuf {
+    let is_recording = path.is_file() && path.extension().is_some_and(|end| end == RECORDING_EXTENSION);
+    match path
+        .parent()
+        .filter(|folder| is_recording && folder.join(SCENARIO_FILE).is_file())
+    {
+        Some(folder) if folder == Path::new("") => PathBuf::from("."),
+        Some(folder) => folder.to_owned(),
+        None => path.to_owned(),
+    }
 }
 
 /// Returns the first line of the reason why the run in `folder` failed; `None` without a failed run.

@@ -18,7 +18,7 @@ use serde_json::Value;
 use crate::display::note;
 use crate::folder_lock::{FolderStatus, status};
 use crate::input_log;
-use crate::run_folder::{DEVICES_FILE, EVENTS_FILE, SCENARIO_FILE, SUMMARY_FILE, failure};
+use crate::run_folder::{self, DEVICES_FILE, EVENTS_FILE, SCENARIO_FILE, SUMMARY_FILE, failure};
 
 /// The folder of a run.
 pub(crate) struct RunReader {
@@ -40,11 +40,12 @@ pub(crate) struct RowTable {
 }
 
 impl RunReader {
-    /// Opens the run in `path`.
+    /// Opens the run in the folder `path`, or in the folder that holds the recording `path`.
     ///
     /// # Errors
     /// If the folder holds no run, or a file of it is invalid.
     pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
+        let path = &run_folder::of_recording(path);
         let scenario_file = path.join(SCENARIO_FILE);
         if !scenario_file.is_file() {
             let cause = match path.metadata() {

@@ -63,7 +63,8 @@ fn feed_from_recording(
         }
     };
     if is_empty {
-        bail!("{}: the recording holds no messages", path_text());
+        let cause = read_error.map_or_else(String::new, |error| format!(": it {error}"));
+        bail!("{}: the recording holds no messages{cause}", path_text());
     }
     if let Some(error) = read_error {
         let reason = format!("{}: {error}; the messages before this point are shown", path_text());

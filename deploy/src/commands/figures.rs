@@ -3,7 +3,7 @@
 //! `docs/figures/make.sh` and tests use the file names. A new figure of [`draw_study`] needs its name in
 //! `cli::other_figures`; to appear in the report, also an entry in `draw_figures` and `figure_order` of `report`.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -16,7 +16,7 @@ use reveille_common::scenario::WakeUpRanking;
 use reveille_study::figures::attention::{self, AttentionFigure};
 use reveille_study::figures::results::{Results, RunCondition};
 use reveille_study::figures::sweep::{
-    POLICY, SweepFigure, SweepFigureSpec, SweptNumbers, canonical_field, note_on_several,
+    DEVICES, POLICY, SweepFigure, SweepFigureSpec, SweptNumbers, canonical_field, note_on_several,
 };
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
@@ -59,7 +59,11 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let swept = SweptNumbers::of_results(&results);
     // The paper has no figures of a swept field, so its runs are drawn against this field. Figures chosen with --only
     // are also drawn against N, for the preset's own value.
-    let is_swept = |condition: &RunCondition| swept.iter().any(|numbers| numbers.is_varied_in(condition));
+    let swept_texts = swept_texts(&results, &swept);
+    let is_swept = |condition: &RunCondition| {
+        let mut fields = condition.swept_fields.iter().map(|(path, _)| path.as_str());
+        swept.iter().any(|numbers| numbers.is_varied_in(condition)) || fields.any(|path| swept_texts.contains(path))
+    };
     let has_own_figures =
         |condition: &RunCondition| condition.is_unchanged_preset() && condition.all_device_counts().len() > 1;
     let with_labels = results.conditions.iter().zip(results.file_labels());
@@ -105,9 +109,13 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         }
     }
     for numbers in &swept {
-        draw_swept_field(args, &results, numbers, &chosen_figures)?;
+        let axes = (numbers.field.as_str(), POLICY, numbers.is_wide());
+        draw_swept_field(args, &results, axes, &chosen_figures)?;
     }
-    suggest_lines(&results, &swept);
+    // With a number too, each combination has its figure above.
+    for field in swept_texts.iter().filter(|_| swept.is_empty()) {
+        draw_swept_field(args, &results, (DEVICES, field, false), &chosen_figures)?;
+    }
     for (label, conditions) in results.by_preset_and_length() {
         if args.combine {
             draw_trades(args, &format!("{label}-together"), &conditions)?;
@@ -117,12 +125,13 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Draws the metrics of the `chosen_figures`, by default information and energy, against a swept field. There is a
-/// picture for each combination of the other settings.
+/// Draws the metrics of the `chosen_figures`, by default information and energy, with these axes: the field along x, the
+/// field with a line for each value, and whether x is logarithmic. There is a picture for each combination of the other
+/// settings.
 fn draw_swept_field(
     args: &FiguresArgs,
     results: &Results,
-    numbers: &SweptNumbers,
+    (x_field, line_field, is_log_x): (&str, &str, bool),
     chosen_figures: &[study::PaperFigure],
 ) -> anyhow::Result<()> {
     let is_default = |figure: &&study::PaperFigure| SWEPT_METRICS.contains(&figure.metric);
@@ -131,37 +140,30 @@ fn draw_swept_field(
         .filter(|figure| !args.only.is_empty() || is_default(figure))
     {
         let spec = SweepFigureSpec {
-            x_field: numbers.field.clone(),
+            x_field: x_field.to_owned(),
             metric: figure.metric.to_owned(),
-            line_field: POLICY.to_owned(),
+            line_field: line_field.to_owned(),
             filter: Vec::new(),
-            is_log_x: numbers.is_wide(),
+            is_log_x,
             is_log_y: figure.is_log,
         };
         match spec.draw(results) {
             Ok(pictures) => write_sweep_pictures(&args.pictures, &spec, &pictures)?,
-            Err(error) => note!("{} against {}: not drawn: {error}", figure.name, numbers.field),
+            Err(error) => note!("{} against {x_field}: not drawn: {error}", figure.name),
         }
     }
     Ok(())
 }
 
-/// Suggests how to compare the values of swept fields other than `drawn_fields`: fields that are not numbers.
-fn suggest_lines(results: &Results, drawn_fields: &[SweptNumbers]) {
-    let fields: BTreeSet<&str> = results
-        .conditions
-        .iter()
-        .filter(|condition| !condition.is_unchanged_preset())
-        .flat_map(|condition| &condition.swept_fields)
-        .map(|(path, _)| path.as_str())
-        .filter(|path| !drawn_fields.iter().any(|numbers| numbers.field == *path))
-        .collect();
-    for field in fields {
-        note!(
-            "{field} varies, which the figures of the paper do not show; use `reveille figures sweep TABLE --x devices \
-             --by {field} --y info_p1` to draw a line for each of its values"
-        );
+/// Returns the swept fields with several values that are not all numbers: those beside `numeric_fields`.
+fn swept_texts<'r>(results: &'r Results, numeric_fields: &[SweptNumbers]) -> BTreeSet<&'r str> {
+    let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for (path, value) in results.conditions.iter().flat_map(|condition| &condition.swept_fields) {
+        values.entry(path).or_default().insert(value);
     }
+    let is_text = |path: &&str| !numeric_fields.iter().any(|numbers| numbers.field == *path);
+    let several = values.into_iter().filter(|(_, values)| values.len() > 1);
+    several.map(|(path, _)| path).filter(is_text).collect()
 }
 
 /// Whether the figure `name` is drawn: without `--only`, every figure is.

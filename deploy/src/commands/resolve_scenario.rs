@@ -142,7 +142,8 @@ pub(super) fn resolve_repeated_run(run: Option<&Path>, args: &ScenarioArgs) -> a
         }
         return resolve_with_builtin_policy(args);
     };
-    let mut scenario_file = run.to_owned();
+    let run = run_folder::of_recording(run);
+    let mut scenario_file = run.clone();
     if run.is_dir() {
         scenario_file = run.join(SCENARIO_FILE);
         anyhow::ensure!(
@@ -200,14 +201,24 @@ fn resolve_options(
     Ok(scenario)
 }
 
+/// Refuses a list of policies in `--policy`.
+pub(super) fn check_single_policy(policy: Option<&str>) -> anyhow::Result<()> {
+    match policy.filter(|policy| policy.contains(',')) {
+        Some(list) => {
+            anyhow::bail!(
+                "--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`"
+            )
+        }
+        None => Ok(()),
+    }
+}
+
 /// Returns the fields that `--set` and the other options override.
 ///
 /// # Errors
 /// If an option is invalid or contradicts `--set`.
 pub(super) fn parse_overrides(args: &ScenarioArgs) -> anyhow::Result<Vec<Override>> {
-    if let Some(list) = args.policy.as_ref().filter(|policy| policy.contains(',')) {
-        anyhow::bail!("--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`");
-    }
+    check_single_policy(args.policy.as_deref())?;
     let mut overrides = args
         .set
         .iter()

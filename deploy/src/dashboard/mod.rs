@@ -18,7 +18,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::http::{HeaderName, header};
+use axum::http::{HeaderName, StatusCode, header};
 use axum::middleware;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
@@ -90,6 +90,13 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         };
         router = router.route(path, get(serve_file));
     }
+    let no_page = || async {
+        api::ApiError(
+            StatusCode::NOT_FOUND,
+            "no such page; docs/watching.md lists them".to_owned(),
+        )
+    };
+    router = router.fallback(no_page);
     // A layer covers the routes added before it: all of them, the pages included.
     let router = router
         .layer(middleware::from_fn_with_state(state.clone(), check_request))

@@ -31,6 +31,10 @@ pub struct RunEnergy {
 /// Share of device-TTIs with B < E_Tx from which devices lack energy, %. The report explains its verdicts with another
 /// limit, `LOW_ENERGY_CAUSE_PCT`.
 const LOW_ENERGY_PCT: f64 = 5.0;
+/// Share of the harvest that does not fit into batteries from which the advice mentions it, %.
+const OVERFLOW_PCT: f64 = 5.0;
+/// Number of reports that a full battery pays for below which the battery counts as small.
+const SMALL_BATTERY_REPORTS: u64 = 4;
 
 /// Advice about the main cause of missed events.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -222,20 +226,41 @@ impl<'s> WeakestClass<'s> {
         self.balance.sleeping_ratio().is_none_or(|ratio| ratio >= 1.0)
     }
 
-    /// Describes the expected harvest and the costs of a device, in sentences.
-    fn describe(&self) -> String {
+    /// Number of reports that a full battery pays for.
+    fn reports_per_battery(&self) -> u64 {
+        (self.balance.capacity / self.balance.report_cost).floor() as u64
+    }
+
+    /// Whether a full battery pays for so few reports that it limits them, and not only the harvest.
+    fn has_small_battery(&self) -> bool {
+        self.reports_per_battery() < SMALL_BATTERY_REPORTS
+    }
+
+    /// Describes the expected harvest and the costs of a device in a run with this `energy`, in sentences.
+    fn describe(&self, energy: Option<RunEnergy>) -> String {
         let number = |x: f64| format_significant(x, 3);
         let class = if self.is_one_of_several {
             format!(" of class {}", self.class.name)
         } else {
             String::new()
         };
-        let text = format!(
+        let mut text = format!(
             "A device{class} harvests {} units per TTI; sleeping costs {}, sensing {}.",
             number(self.balance.harvest.mean),
             number(self.balance.sleeping_cost),
             number(self.balance.sensing_cost)
         );
+        if self.has_small_battery() {
+            let reports = self.reports_per_battery();
+            let noun = if reports == 1 { "report" } else { "reports" };
+            text += &format!(" A full battery pays for {reports} {noun}.");
+        }
+        let lost_pct = energy.map_or(0.0, |energy| {
+            100.0 * energy.overflow_per_device_tti / self.balance.harvest.mean
+        });
+        if !self.is_one_of_several && lost_pct >= OVERFLOW_PCT {
+            text += &format!(" Of the harvest, {lost_pct:.0} % did not fit into full batteries.");
+        }
         if self.can_sleep() {
             text
         } else {
@@ -311,6 +336,7 @@ impl<'s> WeakestClass<'s> {
                 let value = format_significant(needed.ceil(), 3);
                 Some(present.replace("raise", &field, &value, effect))
             }
+            None if self.has_small_battery() => present.scale("raise", &field, &[2.0, 4.0, 8.0]),
             None => present.scale("raise", &field, &[2.0]),
         }
     }
@@ -324,9 +350,9 @@ impl<'s> WeakestClass<'s> {
         let mut changes = Vec::new();
         let has_overflow = energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0);
         let battery = has_overflow.then(|| self.raise_capacity(present)).flatten();
-        // In a gap such as a night, only the battery helps.
-        let is_gap_first = self.balance.longest_gap.is_some();
-        changes.extend(battery.clone().filter(|_| is_gap_first));
+        // In a gap such as a night, only the battery helps. A small battery also loses what would be harvested in addition.
+        let is_battery_first = self.balance.longest_gap.is_some() || self.has_small_battery();
+        changes.extend(battery.clone().filter(|_| is_battery_first));
         if let Harvest::Trace(trace) = &self.class.harvest {
             // Irradiance becomes energy in proportion to the area of the panel.
             let (field, value) = match &trace.panel {
@@ -350,7 +376,7 @@ impl<'s> WeakestClass<'s> {
             }
             changes.extend(self.raise_harvest(present, "harvest.e_b", |cost| Some(e_b * factor_for(cost)?)));
         }
-        changes.extend(battery.filter(|_| !is_gap_first));
+        changes.extend(battery.filter(|_| !is_battery_first));
         changes
     }
 
@@ -436,7 +462,7 @@ fn explain(
     let weakest = WeakestClass::new(scenario);
     let present = PresentValues::new(scenario);
     let save_energy = |spend_less: Option<&str>| weakest.ways_to_save_energy(&present, energy, policy, spend_less);
-    let balance = || weakest.describe();
+    let balance = || weakest.describe(energy);
     let known = |changes: Vec<Option<Suggestion>>| changes.into_iter().flatten().collect::<Vec<_>>();
     let low_energy = energy
         .map(|energy| energy.low_energy_pct)

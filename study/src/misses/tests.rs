@@ -3,6 +3,7 @@
 //! chosen freely.
 
 use reveille_bs::scenario::{Override, Scenario, declaration, load};
+use reveille_common::energy_balance::EnergyBalance;
 use reveille_common::event::EventRecord;
 use reveille_common::message::{Change, DeviceRange};
 
@@ -254,6 +255,16 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
         texts(&advice_with(Some((38.8, 0.1))))[2],
         "raise energy.e_max = 100: try 200"
     );
+    // A battery of 12 units pays for one report of 10 units, and loses more harvest.
+    let scenario = quick(&["policy.name=knn", "energy.e_max=12"]);
+    let energy = RunEnergy {
+        low_energy_pct: 60.0,
+        overflow_per_device_tti: 0.3 * EnergyBalance::new(&scenario).classes[0].harvest.mean,
+    };
+    let small = advice::advise(&scenario, &main_cause(MissCause::NoEnergy), Some(energy));
+    assert_eq!(texts(&small)[0], "raise energy.e_max = 12: try 24, 48, 96");
+    let sentences = "A full battery pays for 1 report. Of the harvest, 30 % did not fit into full batteries.";
+    assert!(small.finding.contains(sentences), "{small}");
 }
 
 #[test]

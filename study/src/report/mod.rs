@@ -86,9 +86,10 @@ impl<'r> ClaimReport<'r> {
     /// # Errors
     /// If the tables hold several conditions and no run of a preset.
     pub fn of_presets(results: &'r Results) -> Result<Self, FigureError> {
-        let (presets, others): (Vec<_>, Vec<_>) = select_columns(results)
-            .into_iter()
-            .partition(|column| column.condition.is_preset_of_any_ranking());
+        let (presets, others): (Vec<_>, Vec<_>) = select_columns(results).into_iter().partition(|column| {
+            let is_reported = REPORT_PRESETS.contains(&column.condition.preset.as_str());
+            is_reported && column.condition.is_preset_of_any_ranking()
+        });
         if others.len() < 2 {
             return Ok(Self::new(results));
         }

@@ -7,6 +7,7 @@ use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 use super::lists::build_scenario;
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::TransitionsArgs;
+use crate::commands::resolve_scenario::check_single_policy;
 
 /// The columns, in the order of [`transition_row`].
 const COLUMNS: &[&str] = &[
@@ -26,6 +27,7 @@ const COLUMNS: &[&str] = &[
 
 /// Counts transitions.
 pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<()> {
+    check_single_policy(args.policy.as_deref())?;
     let scenario = build_scenario(
         &args.study,
         &[

@@ -17,7 +17,7 @@ use super::tables::{self, TableDifference};
 use crate::action_text::FAILURE_NOTE;
 use crate::cli::CompareArgs;
 use crate::commands::figure_files::read_named_tables;
-use crate::display::{WIDTH, print_stdout, wrap_text};
+use crate::display::{WIDTH, note, print_stdout, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::run_folder::SCENARIO_FILE;
 
@@ -66,6 +66,12 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     conditions.retain(|(_, rows)| args.json || !rows.is_empty());
     let separate_results = tables::read_separately(&tables)?;
     let table_differences = tables::compare(&separate_results, &metrics);
+    for name in tables::without_counterpart(&separate_results, &metrics) {
+        note!(
+            "{name}: not compared with {}, as no policy has runs in both with the same N, seeds and swept fields",
+            separate_results[0].tables[0].name
+        );
+    }
     if conditions.iter().all(|(_, rows)| rows.is_empty()) && table_differences.is_empty() {
         let pairs = if tables.len() > 1 {
             "no two policies and no two settings of a policy have"

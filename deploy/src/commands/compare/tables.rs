@@ -85,6 +85,25 @@ pub(super) fn compare<'r>(tables: &'r [Results], metrics: &[&'r str]) -> Vec<Tab
         .collect()
 }
 
+/// Returns the names of the tables of which no runs can be compared with the first table.
+pub(super) fn without_counterpart<'r>(tables: &'r [Results], metrics: &[&str]) -> Vec<&'r str> {
+    let Some((first, others)) = tables.split_first() else {
+        return Vec::new();
+    };
+    let is_compared = |table: &&Results| {
+        table.conditions.iter().any(|condition| {
+            let reference = counterpart(condition, &table.conditions, &first.conditions);
+            reference.is_some_and(|reference| {
+                metrics
+                    .iter()
+                    .any(|metric| !compare_policies(condition, reference, metric).is_empty())
+            })
+        })
+    };
+    let others = others.iter().filter(|table| !is_compared(table));
+    others.map(|table| table.tables[0].name.as_str()).collect()
+}
+
 /// Returns the condition of the first table, one of `references`, that `condition` is compared with: the one with the
 /// same preset, length and swept fields; else the one with the same swept fields, if it is the only one in both tables;
 /// else the first table's only condition. `table_conditions` has all conditions of the table of `condition`.

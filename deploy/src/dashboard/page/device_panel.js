@@ -5,6 +5,7 @@ import { significant, ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
 import { showActions } from "./device_actions.js";
 import { addExport } from "./export.js";
+import { symbolsOf } from "./map_symbols.js";
 import { byId, element, page } from "./page_state.js";
 import { STATES, STATE_OF_CODE, nameOfCode, stateEntry } from "./states.js";
 import { ink } from "./theme.js";
@@ -42,8 +43,11 @@ export async function showDevice() {
   // Only a live run has hosts.
   const host = page.clock?.hosts.find(({ first, last }) => first <= device && device <= last);
   byId("one-title").textContent = `Device ${device}`;
-  byId("one-facts").textContent = `${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m${host ? ` · host ${host.host}, ${host.name}` : ""}`;
-  byId("chosen-facts").textContent = `Device ${device}: ${nameOfCode(history.states[tti - history.from])}${cluster}${deviceClass}`;
+  // The codes do not tell why a device reports; the shown moment does.
+  const code = history.states[tti - history.from], { moment } = page;
+  const state = code === "3" && moment?.states && moment.tti === tti ? STATES[symbolsOf(moment)[device]].name : nameOfCode(code);
+  byId("one-facts").textContent = `${state}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m${host ? ` · host ${host.host}, ${host.name}` : ""}`;
+  byId("chosen-facts").textContent = `Device ${device}: ${state}${cluster}${deviceClass}`;
   byId("show-one").onclick = () => byId("one").scrollIntoView();
   if (run.controls) showActions(now.states[device]);
   if (!chart) {

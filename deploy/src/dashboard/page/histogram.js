@@ -22,7 +22,7 @@ export class Histogram {
     this.legend = element("div", { className: "legend" });
     const header = element("header", {}, element("h3", {}, "Batteries", element("span", { className: "unit", textContent: " devices by level, in the shown TTI" })));
     box.append(element("figure", { id: "histogram", className: "chart" }, header, element("div", { className: "plot" }, this.canvas, this.readout), this.legend));
-    addExport(header, { name: "batteries", title: "Batteries", canvas: () => this.canvas, rows: () => this.rows() });
+    addExport(header, { name: "batteries", title: "Batteries", canvas: () => this.canvas, rows: () => this.rows(), legend: this.legend });
     this.bin = null;
     onAppear(this.canvas, () => this.paint());
     const point = (event) => {

@@ -46,6 +46,7 @@ export class DeviceMap {
     draw.drawImage(this.ground.canvas(width, height, layer, heat, moment), 0, 0, width, height);
     // Before TTI 0 no device has a state.
     if (moment.states) this.paintMoment(draw, moment, chosen, layer, width, height);
+    else this.paintPlaces();
     paintScaleBar(draw, this, width, height);
   }
 
@@ -57,6 +58,16 @@ export class DeviceMap {
     if (layer === "cluster" && this.run.groups) this.ground.paintClusterNumbers(draw, width, height, size);
     if (chosen >= 0) this.paintChosen(chosen, size);
     if (moment.event) this.paintEpicentre(moment.event.epicentre);
+  }
+
+  // The places of devices without a state.
+  paintPlaces() {
+    const { draw } = this;
+    draw.fillStyle = ink("--faint");
+    for (const position of this.run.positions) {
+      const [x, y] = this.at(position);
+      draw.fillRect(x - 2, y - 2, 4, 4);
+    }
   }
 
   paintBelief(places) {

@@ -3,8 +3,13 @@
 import { ticks } from "./axis.js";
 import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
 
-// Steps of the golden angle keep the hues of neighbouring groups apart.
-export const groupHue = (group) => (group * 137.5) % 360;
+// Steps of the golden angle keep the hues of neighbouring clusters apart.
+const clusterColour = (cluster) => `hsl(${(cluster * 137.5) % 360} 55% 50%)`;
+// Colours that differ in lightness too (Okabe and Ito); further classes repeat them.
+const CLASS_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
+export const classColour = (nth) => CLASS_COLOURS[nth % CLASS_COLOURS.length];
+// Opacity of both.
+export const TINT = 0.3;
 
 export class MapGround {
   constructor(map) {
@@ -45,9 +50,9 @@ export class MapGround {
       for (const corner of corners) draw.lineTo(...this.map.place(corner, width, height));
       draw.closePath();
       if (heats) draw.fillStyle = layer === "battery" ? batteryColour(heats[device]) : ink("--event");
-      else if (tints) draw.fillStyle = `hsl(${groupHue(tints[device])} 55% 50%)`;
+      else if (tints) draw.fillStyle = layer === "class" ? classColour(tints[device]) : clusterColour(tints[device]);
       if (heats && layer !== "battery") draw.globalAlpha = 0.85 * heats[device];
-      else if (tints) draw.globalAlpha = 0.2;
+      else if (tints) draw.globalAlpha = TINT;
       if (heats || tints) draw.fill();
       draw.globalAlpha = 1;
       draw.stroke();

@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { significant } from "./axis.js";
 import { addExport } from "./export.js";
-import { groupHue } from "./map_ground.js";
+import { TINT, classColour } from "./map_ground.js";
 import { DeviceMap } from "./map.js";
 import { drawSymbol, symbolsOf } from "./map_symbols.js";
 import { byId, element, page, setText } from "./page_state.js";
@@ -11,7 +11,7 @@ import { STATES } from "./states.js";
 import { batteryGradient, batteryShare, hiddenCanvas, ink } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
-const HEATS = { misses: "missed events nearest to each device, since TTI 0", looks: "TTIs in which each device has sensed, since TTI 0", battery: "battery in the shown TTI" };
+const HEATS = { misses: "missed events nearest to each device", looks: "TTIs in which each device has sensed", battery: "battery in the shown TTI" };
 
 function nameDevices(devices) {
   return devices.length > 8 ? `${devices.slice(0, 8).join(", ")} … (${devices.length})` : devices.join(", ");
@@ -43,7 +43,7 @@ export class MapPanel {
     layer.selectedIndex = 0;
     layer.onchange = () => this.refreshHeat().then(() => this.paint());
     for (const canvas of [byId("map"), byId("other-map")]) canvas.onclick = (event) => onChooseDevice(this.map.nearest(event));
-    addExport(byId("place-title").parentElement, { name: "map", title: "Devices", canvas: () => byId("map"), rows: () => this.rows() });
+    addExport(byId("place-title").parentElement, { name: "map", title: "Devices", canvas: () => byId("map"), rows: () => this.rows(), legend: byId("legend") });
   }
 
   get layer() {
@@ -94,13 +94,16 @@ export class MapPanel {
     if (this.layer === "class") {
       run.classes.forEach((name, nth) => {
         const square = mark("■", "--ink");
-        square.style.color = `hsl(${groupHue(nth)} 55% 50%)`;
+        square.style.color = classColour(nth);
+        square.style.opacity = TINT;
         entries.push(entry(square, `class ${name}`));
       });
     }
     if (HEATS[this.layer]) {
       const most = this.heat?.[this.layer]?.reduce((a, b) => Math.max(a, b), 0);
-      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
+      // The program has the sums of this run up to its latest TTI only.
+      const span = this.heat && `${page.other ? " of this run" : ""}, TTI 0 to ${this.heat.version - 1}`;
+      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${span ?? ""}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
       if (this.layer === "battery") entries.pop();
     }
     byId("legend").replaceChildren(...entries);

@@ -5,7 +5,7 @@ import { byId, element, page, plural } from "./page_state.js";
 import { colourBox, stateEntry } from "./states.js";
 import { Timeline, cellText } from "./timeline.js";
 import { filterDevices } from "./timeline_filter.js";
-import { HEAD } from "./timeline_window.js";
+import { GUTTER, HEAD } from "./timeline_window.js";
 import { ROW } from "./timeline_tile.js";
 
 export class TimelinePanel {
@@ -21,7 +21,7 @@ export class TimelinePanel {
     form.oninput = () => this.filter();
     form.onsubmit = (event) => event.preventDefault();
     form.onreset = () => setTimeout(() => this.filter());
-    addExport(byId("timeline-title").parentElement, { name: "timeline", title: "Timeline", canvas: () => this.canvas, rows: () => this.timeline.rows() });
+    addExport(byId("timeline-title").parentElement, { name: "timeline", title: "Timeline", canvas: () => this.canvas, rows: () => this.timeline.rows(), legend: byId("timeline-legend") });
     const entry = (colour, text) => element("span", {}, colourBox(colour), text);
     byId("timeline-legend").prepend(
       ...["sensing", "asleep", "unpowered", "out", "reporting"].map((state) => stateEntry(state)), stateEntry("woken", "wake-up sent"), stateEntry("failed"),
@@ -46,7 +46,8 @@ export class TimelinePanel {
     this.timeline.schedule();
   }
 
-  zoom(factor, x = this.canvas.clientWidth / 2) {
+  // Zooms about `x`; without it, about the shown TTI, or else about the middle of the plot.
+  zoom(factor, x = this.view.shows(page.tti) ? this.view.x(page.tti) : (GUTTER + this.canvas.clientWidth) / 2) {
     this.change((view) => view.zoom(factor, x, page.now));
   }
 

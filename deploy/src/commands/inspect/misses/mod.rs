@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::process::ExitCode;
 
+use reveille_common::digits::format_significant;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::OperatorAction;
 use reveille_common::totals::MissCause;
@@ -158,13 +159,17 @@ impl MissReport<'_> {
     fn to_text(&self) -> String {
         let Self { run, misses, .. } = self;
         let (scenario, actions) = (&misses.scenario, &misses.actions);
+        let (first, end) = (scenario.warm_up_end(), misses.end);
+        let ttis = if first < end {
+            format!("TTIs {first} to {}", end.0 - 1)
+        } else {
+            format!("ended in TTI {end}, before the warm-up ends at TTI {first}")
+        };
         let line = format!(
-            "{}: policy {}, {} devices, TTIs {} to {}",
+            "{}: policy {}, {} devices, {ttis}",
             run.path().display(),
             scenario.policy.name(),
             scenario.run.devices,
-            scenario.warm_up_end(),
-            misses.end.0.saturating_sub(1)
         );
         let mut text = wrap_text(&line, WIDTH) + "\n";
         let (missed, events) = (misses.missed.len(), misses.counted_starts.len());
@@ -302,9 +307,7 @@ fn format_devices(
         let row = device_rows.get(&device.device);
         let cells = DEVICE_COLUMNS.map(|column| {
             let value = row.and_then(|row| row.number::<f64>(column).ok());
-            value.map_or("–".to_owned(), |value| {
-                format!("{value:.*}", usize::from(column == "final_battery"))
-            })
+            value.map_or("–".to_owned(), |value| format_significant(value, 3))
         });
         let [battery, low, no_sense, no_radio, outage] = cells;
         let _infallible = writeln!(
