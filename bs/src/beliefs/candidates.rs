@@ -26,8 +26,8 @@ pub struct WakeUpCandidates(CandidateRanking);
 
 #[derive(Clone, Debug)]
 enum CandidateRanking {
-    P42(Ranking),
-    Posterior(EpicentreBelief),
+    P42(Box<Ranking>),
+    Posterior(Box<EpicentreBelief>),
 }
 
 impl WakeUpCandidates {
@@ -42,11 +42,12 @@ impl WakeUpCandidates {
         Self(match ranking {
             WakeUpRanking::P42 => {
                 let correlation = Correlation::new(sensing, &known.correlation_bounds);
-                CandidateRanking::P42(Ranking::new(&positions, area, correlation))
+                CandidateRanking::P42(Box::new(Ranking::new(&positions, area, correlation)))
             }
-            WakeUpRanking::Posterior => CandidateRanking::Posterior(
-                EpicentreBelief::new(&positions, area, sensing).with_loss(known.radio.no_report_probability()),
-            ),
+            WakeUpRanking::Posterior => {
+                let belief = EpicentreBelief::new(&positions, area, sensing);
+                CandidateRanking::Posterior(Box::new(belief.with_loss(known.radio.no_report_probability())))
+            }
         })
     }
 
@@ -56,7 +57,9 @@ impl WakeUpCandidates {
     pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
         Self(match self.0 {
             CandidateRanking::P42(ranking) => CandidateRanking::P42(ranking),
-            CandidateRanking::Posterior(belief) => CandidateRanking::Posterior(belief.with_miss_cost(miss_cost)),
+            CandidateRanking::Posterior(belief) => {
+                CandidateRanking::Posterior(Box::new(belief.with_miss_cost(miss_cost)))
+            }
         })
     }
 

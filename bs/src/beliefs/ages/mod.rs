@@ -29,6 +29,7 @@ mod probabilistic;
 pub mod selector;
 pub(crate) mod staleness;
 
+use pulp::NullaryFnOnce;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
@@ -55,6 +56,21 @@ pub struct Ages {
 enum AgeModel {
     Certain(CertainAges),
     Probabilistic(ProbabilisticAges),
+}
+
+/// A call of [`Ages::gain`]: a type, since a closure may not be inlined into [`VectorWidth::run`].
+struct GainOf<'a> {
+    ages: &'a Ages,
+    j: usize,
+}
+
+impl NullaryFnOnce for GainOf<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        self.ages.inlined_gain(self.j)
+    }
 }
 
 impl Ages {
@@ -93,10 +109,7 @@ impl Ages {
     /// Returns the gain of adding the `j`-th device: the sum over its cells of the worths of their ages. With
     /// probabilistic detection each worth is weighted by the probability that only this device detects.
     pub fn gain(&self, j: usize) -> f64 {
-        self.vector_width.run(
-            #[inline(always)]
-            || self.inlined_gain(j),
-        )
+        self.vector_width.run(GainOf { ages: self, j })
     }
 
     /// Returns [`Self::gain`], for callers inlined into [`VectorWidth::run`].

@@ -238,7 +238,7 @@ mod tests {
             };
             let mut points = RingPoints::default();
             let d = 4.0 * stream.unit();
-            for _ in 0..1 + case % 67 {
+            for _ in 0..=case % 67 {
                 let phi = std::f64::consts::TAU * stream.unit();
                 let position = Point::new(8.0 + d * libm::cos(phi), 8.0 + d * libm::sin(phi));
                 points.push(position, ScaledLikelihood::CERTAIN.times(stream.unit() + 1e-9));

@@ -90,6 +90,25 @@ pub struct EpicentreBelief {
     directions: Directions,
 }
 
+/// A ring of points, by [`RingPoints::set_ring`]. This and the next types are calls, since a closure may not be inlined
+/// into `VectorWidth::run`.
+struct NewRing<'a> {
+    points: &'a mut RingPoints,
+    centre: Point,
+    d: f64,
+    directions: &'a Directions,
+    area: Area,
+}
+
+impl NullaryFnOnce for NewRing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.points.set_ring(self.centre, self.d, self.directions, self.area);
+    }
+}
+
 /// The likelihoods of a ring of points after the silence of devices, by [`RingPoints::apply_silence`].
 struct SilentRing<'a, P> {
     points: &'a mut RingPoints,
@@ -352,16 +371,13 @@ impl EpicentreBelief {
 
     /// Replaces the points by those of the ring around `centre`.
     fn set_ring(&mut self, centre: Point, d: f64) {
-        let Self {
-            points,
-            directions,
-            area,
-            ..
-        } = self;
-        self.gain_sums.vector_width().run(
-            #[inline(always)]
-            || points.set_ring(centre, d, directions, *area),
-        );
+        self.gain_sums.vector_width().run(NewRing {
+            points: &mut self.points,
+            centre,
+            d,
+            directions: &self.directions,
+            area: self.area,
+        });
         if self.points.len() == 0 {
             // In a very small area the ring can pass between its points.
             self.points.push(centre, ScaledLikelihood::CERTAIN);

@@ -148,8 +148,8 @@ impl RingPoints {
                 let (x, y) = (xs[i], ys[i]);
                 (xs[kept_count], ys[kept_count]) = (x, y);
                 // Without a branch, which would often be mispredicted.
-                let is_inside = (x >= 0.0) & (x <= area.width) & (y >= 0.0) & (y <= area.height);
-                kept_count += usize::from(is_inside);
+                let bounds = [x >= 0.0, x <= area.width, y >= 0.0, y <= area.height];
+                kept_count += bounds.iter().fold(1, |all, &holds| all & usize::from(holds));
             }
             self.x.truncate(kept_count);
             self.y.truncate(kept_count);

@@ -210,15 +210,14 @@ impl DeviceSelector {
             (0.0, None)
         };
         let initial_best = best;
-        let rivals = match &self.neighbours {
-            Some(lists) => lists.of(j),
-            None => {
-                let rivals = &mut self.rivals;
-                rivals.clear();
-                self.buckets
-                    .within(self.positions[j], self.d_max, |i, _| rivals.push(i as u32));
-                rivals
-            }
+        let rivals = if let Some(lists) = &self.neighbours {
+            lists.of(j)
+        } else {
+            let rivals = &mut self.rivals;
+            rivals.clear();
+            self.buckets
+                .within(self.positions[j], self.d_max, |i, _| rivals.push(i as u32));
+            rivals
         };
         for &i in rivals {
             // A device is never worth more than alone, so the bound spares most candidates an evaluation.

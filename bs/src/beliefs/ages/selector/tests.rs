@@ -198,7 +198,9 @@ fn choices_with_and_without_reviews_are_equal() {
                     assert_eq!(choose(first_review, vector_width), never, "{kind:?}, TTI {k}");
                 }
             }
-            never.iter().for_each(|device| ages.add(device.index()));
+            for device in never {
+                ages.add(device.index());
+            }
             ages.advance(k % 7 == 6);
         }
     }
