@@ -13,6 +13,7 @@
 
 mod gains;
 mod points;
+mod prior;
 
 use std::cmp::Ordering;
 
@@ -24,6 +25,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 
 use self::gains::GainSums;
 use self::points::{Directions, RingPoints, ScaledLikelihood};
+pub use self::prior::{PlacePrior, uniform_prior};
 
 /// Points on a ring before the silence of other devices is applied.
 const POINTS_PER_RING: usize = 512;
@@ -35,27 +37,6 @@ const SILENCE_FACTOR: f64 = 0.02;
 const RULED_OUT_FACTOR: f64 = 1e-12;
 /// Largest distance from a ring at which a point counts as on it, metres per metre of d_max.
 const RING_TOLERANCE: f64 = 1e-6;
-
-/// A prior over the place of the epicentre, before any report. A function of the place is one.
-pub trait PlacePrior {
-    /// Returns the relative density at `place`, at least 2⁻⁵¹².
-    fn density_at(&self, place: Point) -> f64;
-
-    /// Writes [`Self::density_at`] of the places at `x` and `y`, metres, to `densities`. All have the same length.
-    #[inline(always)]
-    fn densities_at(&self, x: &[f64], y: &[f64], densities: &mut [f64]) {
-        for ((density, &x), &y) in densities.iter_mut().zip(x).zip(y) {
-            *density = self.density_at(Point::new(x, y));
-        }
-    }
-}
-
-impl<F: Fn(Point) -> f64> PlacePrior for F {
-    #[inline(always)]
-    fn density_at(&self, place: Point) -> f64 {
-        self(place)
-    }
-}
 
 /// A belief over the epicentre of one event at a time, with the devices ranked by their expected gain.
 ///
@@ -447,11 +428,6 @@ impl EpicentreBelief {
             .chain(ruled_out.map(|_| RULED_OUT_FACTOR));
         factors.fold(ScaledLikelihood::CERTAIN.times(prior), ScaledLikelihood::times)
     }
-}
-
-/// Returns the relative prior density of the epicentre at a point: the same everywhere.
-pub fn uniform_prior(_point: Point) -> f64 {
-    1.0
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 
 use reveille_common::geometry::{Area, Point};
 
-use super::PlacePrior;
+use super::prior::PlacePrior;
 
 /// Largest number of likely points, and of unlikely points, that [`RingPoints::thin`] keeps.
 pub(super) const MAX_POINTS_PER_GROUP: usize = 32;
