@@ -25,8 +25,8 @@ pub(super) const DISC_SIDE: usize = 16;
 /// Offset between rows of areas that are narrow enough. A constant spares the tests of each row.
 pub(super) const NARROW_STRIDE: usize = 64;
 
-/// The area in cells of at most d_max/7.5, row by row. At least [`DISC_SIDE`] unused cells follow each row, and as many unused
-/// rows follow the last. So a square of this side can be read from any cell on.
+/// The area in cells of at most d_max/7.5, row by row. At least [`DISC_SIDE`] unused cells follow each row, and as many
+/// unused rows follow the last. So a square of this side can be read from any cell on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     raster: Raster,

@@ -43,8 +43,8 @@ impl MaskDisc {
         }
     }
 
-    /// Returns the rows of the square in `cells`, which has `stride` cells per row, two by two. The unused rows after the
-    /// area make every slice of 16 whole rows valid.
+    /// Returns the rows of the square in `cells`, which has `stride` cells per row, two by two. The unused rows after
+    /// the area make every slice of 16 whole rows valid.
     #[inline(always)]
     fn row_pairs<'a>(&self, cells: &'a [u8], stride: usize) -> impl Iterator<Item = RowPair> + use<'a> {
         // Stated before the loop, so that the compiler omits the test of each row.

@@ -11,8 +11,8 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. The cells of a block fit the bits of
-/// a `u16`, see [`Block::cell_bits`].
+/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. The cells of a block fit the bits
+/// of a `u16`, see [`Block::cell_bits`].
 pub(super) const BLOCK_SIDE: usize = 4;
 
 /// The cells that devices can cover, in blocks of neighbours, the most confined blocks first. Few devices reach a
@@ -27,7 +27,8 @@ pub(super) struct CellBlocks {
     pub(super) devices: Vec<u32>,
 }
 
-/// A block of cells: the place of its south-west corner (`CoverageBits::place`), and the ranges (start, end) of its cells and devices in [`CellBlocks`].
+/// A block of cells: the place of its south-west corner (`CoverageBits::place`), and the ranges (start, end) of its
+/// cells and devices in [`CellBlocks`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub(super) word: u32,

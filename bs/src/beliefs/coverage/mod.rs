@@ -257,7 +257,8 @@ impl Coverage {
         }
     }
 
-    /// Returns the indices of the cells of a block that devices can cover, in the order in which they should be covered.
+    /// Returns the indices of the cells of a block that devices can cover, in the order in which they should be
+    /// covered.
     #[inline(always)]
     pub(crate) fn cells_in(&self, block: usize) -> Range<usize> {
         let (first, end) = self.cell_blocks.blocks[block].cells;

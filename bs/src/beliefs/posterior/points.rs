@@ -1,5 +1,5 @@
-//! Candidate epicentres of [`EpicentreBelief`](super::EpicentreBelief) with their likelihoods. Frames and digests depend
-//! on their order and on every bit of their weights.
+//! Candidate epicentres of [`EpicentreBelief`](super::EpicentreBelief) with their likelihoods. Frames and digests
+//! depend on their order and on every bit of their weights.
 
 #![expect(
     clippy::inline_always,
