@@ -6,12 +6,11 @@
 //! An event begins with [`WakeUpCandidates::start_event`]. Then candidates are taken and further reports added, in any
 //! order. All calls of one event need the same prior.
 
-use reveille_common::geometry::Point;
 use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;
 use reveille_common::scenario::WakeUpRanking;
 
-use super::posterior::{EpicentreBelief, uniform_prior};
+use super::posterior::{EpicentreBelief, PlacePrior, uniform_prior};
 use super::ranking::{Correlation, Ranking};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -27,8 +26,8 @@ pub struct WakeUpCandidates(CandidateRanking);
 
 #[derive(Clone, Debug)]
 enum CandidateRanking {
-    P42(Ranking),
-    Posterior(EpicentreBelief),
+    P42(Box<Ranking>),
+    Posterior(Box<EpicentreBelief>),
 }
 
 impl WakeUpCandidates {
@@ -43,11 +42,12 @@ impl WakeUpCandidates {
         Self(match ranking {
             WakeUpRanking::P42 => {
                 let correlation = Correlation::new(sensing, &known.correlation_bounds);
-                CandidateRanking::P42(Ranking::new(&positions, area, correlation))
+                CandidateRanking::P42(Box::new(Ranking::new(&positions, area, correlation)))
             }
-            WakeUpRanking::Posterior => CandidateRanking::Posterior(
-                EpicentreBelief::new(&positions, area, sensing).with_loss(known.radio.no_report_probability()),
-            ),
+            WakeUpRanking::Posterior => {
+                let belief = EpicentreBelief::new(&positions, area, sensing);
+                CandidateRanking::Posterior(Box::new(belief.with_loss(known.radio.no_report_probability())))
+            }
         })
     }
 
@@ -57,14 +57,16 @@ impl WakeUpCandidates {
     pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
         Self(match self.0 {
             CandidateRanking::P42(ranking) => CandidateRanking::P42(ranking),
-            CandidateRanking::Posterior(belief) => CandidateRanking::Posterior(belief.with_miss_cost(miss_cost)),
+            CandidateRanking::Posterior(belief) => {
+                CandidateRanking::Posterior(Box::new(belief.with_miss_cost(miss_cost)))
+            }
         })
     }
 
     /// Begins an event with its first reports. The ranking by belief also uses the silence of devices that could have
     /// reported.
     pub fn start_event(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.start_event_with_prior(seen, reports, uniform_prior);
+        self.start_event_with_prior(seen, reports, &uniform_prior);
     }
 
     /// Begins an event like [`Self::start_event`], with a non-uniform prior over the epicentre. `prior` is a relative
@@ -73,11 +75,11 @@ impl WakeUpCandidates {
         &mut self,
         seen: &Observation<'_>,
         reports: &[Report],
-        prior: impl Fn(Point) -> f64,
+        prior: &impl PlacePrior,
     ) {
         self.clear();
         for report in reports {
-            self.add_report_with_prior(seen, report, &prior);
+            self.add_report_with_prior(seen, report, prior);
         }
         if let CandidateRanking::Posterior(belief) = &mut self.0 {
             // A device without energy for a report is silent wherever the event is.
@@ -95,16 +97,11 @@ impl WakeUpCandidates {
 
     /// Adds a further report.
     pub fn add_report(&mut self, seen: &Observation<'_>, report: &Report) {
-        self.add_report_with_prior(seen, report, uniform_prior);
+        self.add_report_with_prior(seen, report, &uniform_prior);
     }
 
     /// Adds a report like [`Self::add_report`], with the prior of the event.
-    pub(crate) fn add_report_with_prior(
-        &mut self,
-        seen: &Observation<'_>,
-        report: &Report,
-        prior: impl Fn(Point) -> f64,
-    ) {
+    pub(crate) fn add_report_with_prior(&mut self, seen: &Observation<'_>, report: &Report, prior: &impl PlacePrior) {
         if let CandidateRanking::P42(ranking) = &mut self.0 {
             // The reporter is awake. It may have missed the plan that lets it sleep, so the plan alone does not exclude
             // it.

@@ -6,6 +6,8 @@
 use std::f64::consts::{LOG2_E, PI};
 use std::sync::Arc;
 
+#[cfg(target_arch = "x86_64")]
+use pulp::{f64x4, x86::V3};
 use reveille_common::sensing::Sensing;
 
 use crate::bounds_cache::{Band, BoundsCache, CorrelationBounds};
@@ -155,11 +157,6 @@ impl Correlation {
 /// doubles end, it stays at exp(-708), which is less than any valid p(d_max).
 #[inline]
 pub(crate) fn exp_negative(x: f64) -> f64 {
-    // Adding this constant leaves the nearest whole number in the lowest bits.
-    const ROUND: f64 = (3_u64 << 51) as f64;
-    // ln 2 in two parts; the first has so few digits that its multiples are exact.
-    const LN2_HIGH: f64 = 0.693_147_180_369_123_8;
-    const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
     let x = if x < MAX_EXPONENT { x } else { MAX_EXPONENT };
     let shifted = -x * LOG2_E + ROUND;
     let n = shifted - ROUND;
@@ -170,6 +167,39 @@ pub(crate) fn exp_negative(x: f64) -> f64 {
     let power = f64::from_bits((shifted.to_bits() << 52).wrapping_add(1023 << 52));
     series * power
 }
+
+/// Returns [`exp_negative`] of four numbers, bit by bit.
+#[cfg(target_arch = "x86_64")]
+#[expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+#[inline(always)]
+pub(crate) fn exp_negative_v3(v3: V3, x: f64x4) -> f64x4 {
+    let splat = |value: f64| v3.splat_f64x4(value);
+    let largest = splat(MAX_EXPONENT);
+    let x: f64x4 = pulp::cast(v3.avx._mm256_min_pd(pulp::cast(x), pulp::cast(largest)));
+    let minus_x = v3.mul_f64x4(x, splat(-1.0));
+    let shifted = v3.add_f64x4(v3.mul_f64x4(minus_x, splat(LOG2_E)), splat(ROUND));
+    let n = v3.sub_f64x4(shifted, splat(ROUND));
+    let high = v3.sub_f64x4(minus_x, v3.mul_f64x4(n, splat(LN2_HIGH)));
+    let r = v3.sub_f64x4(high, v3.mul_f64x4(n, splat(LN2_LOW)));
+    let mut series = splat(INVERSE_FACTORIALS[INVERSE_FACTORIALS.len() - 1]);
+    for term in INVERSE_FACTORIALS[..INVERSE_FACTORIALS.len() - 1].iter().rev() {
+        series = v3.add_f64x4(v3.mul_f64x4(series, r), splat(*term));
+    }
+    let exponent_bits = v3.avx2._mm256_slli_epi64::<52>(pulp::cast(shifted));
+    let power = v3
+        .avx2
+        ._mm256_add_epi64(exponent_bits, pulp::cast(v3.splat_u64x4(1023 << 52)));
+    v3.mul_f64x4(series, pulp::cast(power))
+}
+
+/// Adding this constant leaves the nearest whole number in the lowest bits.
+const ROUND: f64 = (3_u64 << 51) as f64;
+/// ln 2 in two parts; the first has so few digits that its multiples are exact.
+const LN2_HIGH: f64 = 0.693_147_180_369_123_8;
+const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
 
 /// Largest exponent of [`exp_negative`].
 const MAX_EXPONENT: f64 = 708.0;
@@ -333,6 +363,23 @@ mod tests {
         assert_eq!(exp_negative(0.0).to_bits(), 1.0_f64.to_bits());
         // Larger arguments count as 708, below which the result is a normal double.
         assert_eq!(exp_negative(2100.0).to_bits(), exp_negative(708.0).to_bits());
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn four_exponentials_at_once_are_the_same_to_the_bit() {
+        let Some(v3) = V3::try_new() else { return };
+        let check = |x: [f64; 4]| {
+            let values: [f64; 4] = pulp::cast(exp_negative_v3(v3, pulp::cast(x)));
+            assert_eq!(values.map(f64::to_bits), x.map(|x| exp_negative(x).to_bits()), "{x:?}");
+        };
+        let mut stream = Stream::new(8, Purpose::Epicentre, 0);
+        for _ in 0..20_000 {
+            check(std::array::from_fn(|lane| {
+                stream.unit() * [1e-3, 1.0, 40.0, 720.0][lane]
+            }));
+        }
+        check([0.0, 708.0, 1e6, f64::INFINITY]);
     }
 
     #[test]

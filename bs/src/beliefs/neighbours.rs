@@ -41,8 +41,8 @@ impl Neighbours {
         self.positions[device.index()]
     }
 
-    /// Returns the devices in band `band`, below `band_count`, of `device`. The first band includes the device itself.
-    pub(crate) fn band(&mut self, device: DeviceId, band: usize) -> &[DeviceId] {
+    /// Computes the list of `device`, which [`Self::band`] needs, unless it is known.
+    pub(crate) fn prepare(&mut self, device: DeviceId) {
         let Self {
             buckets,
             positions,
@@ -50,9 +50,17 @@ impl Neighbours {
             band_count,
             lists,
         } = self;
-        let list = lists[device.index()].get_or_insert_with(|| {
+        lists[device.index()].get_or_insert_with(|| {
             NeighbourList::new(buckets, positions[device.index()], *bands_per_metre, *band_count)
         });
+    }
+
+    /// Returns the devices in band `band`, below `band_count`, of `device`, which was prepared. The first band includes
+    /// the device itself.
+    pub(crate) fn band(&self, device: DeviceId, band: usize) -> &[DeviceId] {
+        let Some(list) = &self.lists[device.index()] else {
+            return &[];
+        };
         &list.devices[list.starts[band] as usize..list.starts[band + 1] as usize]
     }
 }
@@ -99,6 +107,7 @@ mod tests {
             let positions = place_devices(&layout, area, n, 3);
             let mut neighbours = Neighbours::new(&positions, area, 10.0, 80);
             for h in (0..n).map(DeviceId) {
+                neighbours.prepare(h);
                 for band in 0..80 {
                     let distance = |j: &u32| positions[*j as usize].distance(positions[h.index()]);
                     let middle = f64::from(band) / 10.0;

@@ -68,6 +68,7 @@ impl Ranking {
     pub(crate) fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));
+        self.neighbours.prepare(device);
         self.queue_band(reporter, 0);
     }
 
@@ -104,10 +105,28 @@ impl Ranking {
     /// Evaluates the candidates of the `band_index`-th band of `reporter`, and queues its next band.
     fn evaluate_band(&mut self, reporter: u32, band_index: u32, is_candidate: impl Fn(DeviceId) -> bool) {
         let (device, d) = self.reporters[reporter as usize];
-        let column = self.correlation.bands(d)[band_index as usize].column;
-        for i in 0..self.neighbours.band(device, column).len() {
-            let j = self.neighbours.band(device, column)[i];
-            self.evaluate_candidate(reporter, j, &is_candidate);
+        let Self {
+            correlation,
+            neighbours,
+            queue,
+            last_returned_for,
+            event_number,
+            ..
+        } = self;
+        let column = correlation.bands(d)[band_index as usize].column;
+        let position = neighbours.position(device);
+        for &j in neighbours.band(device, column) {
+            if last_returned_for[j.index()] == *event_number || !is_candidate(j) {
+                continue;
+            }
+            let value = correlation.p42(d, position.distance(neighbours.position(j)));
+            if value >= correlation.threshold() {
+                queue.push(QueueEntry {
+                    bound: RoundedProbability::nearest(value),
+                    item: QueueItem::Evaluated,
+                    device_or_band: j.0,
+                });
+            }
         }
         self.queue_band(reporter, band_index + 1);
     }
@@ -131,22 +150,6 @@ impl Ranking {
             item: QueueItem::Band { reporter },
             device_or_band: band_index,
         }));
-    }
-
-    fn evaluate_candidate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
-        if self.last_returned_for[j.index()] == self.event_number || !is_candidate(j) {
-            return;
-        }
-        let (device, d) = self.reporters[reporter as usize];
-        let gamma = self.neighbours.position(device).distance(self.neighbours.position(j));
-        let value = self.correlation.p42(d, gamma);
-        if value >= self.correlation.threshold() {
-            self.queue.push(QueueEntry {
-                bound: RoundedProbability::nearest(value),
-                item: QueueItem::Evaluated,
-                device_or_band: j.0,
-            });
-        }
     }
 }
 

@@ -101,7 +101,7 @@ impl Policy for AgeIndex {
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.is_event_reported = true;
         let Self { ages, candidates, .. } = self;
-        candidates.start_event_with_prior(seen, reports, |place| ages.age_at(place));
+        candidates.start_event_with_prior(seen, reports, &*ages);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
@@ -116,7 +116,7 @@ impl Policy for AgeIndex {
     fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             let Self { ages, candidates, .. } = self;
-            candidates.add_report_with_prior(seen, report, |place| ages.age_at(place));
+            candidates.add_report_with_prior(seen, report, &*ages);
         }
     }
 

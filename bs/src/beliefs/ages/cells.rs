@@ -5,6 +5,11 @@
 //! Gains depend on the cells, therefore digests and learned tables do too. docs/age-index.md states the cells;
 //! `tests/src/reference/age_index.rs` and a test of `q-learning` compute them too.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 use reveille_common::geometry::{Area, Point};
 
 use crate::beliefs::grid::{self, Raster};
@@ -17,8 +22,11 @@ const CELLS_PER_RANGE: f64 = 7.5;
 /// Maximum number of rows, and of columns, of cells within d_max of a device.
 pub(super) const DISC_SIDE: usize = 16;
 
-/// The area in cells of at most d_max/7.5, row by row. [`DISC_SIDE`] unused cells follow each row, and as many unused
-/// rows follow the last. So a square of this side can be read from any cell on.
+/// Offset between rows of areas that are narrow enough. A constant spares the tests of each row.
+pub(super) const NARROW_STRIDE: usize = 64;
+
+/// The area in cells of at most d_max/7.5, row by row. At least [`DISC_SIDE`] unused cells follow each row, and as many
+/// unused rows follow the last. So a square of this side can be read from any cell on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     raster: Raster,
@@ -57,7 +65,8 @@ impl Cells {
 
     /// Offset from the index of a cell to the index of its neighbour in the next row.
     pub(super) const fn stride(&self) -> usize {
-        self.raster.columns + DISC_SIDE
+        let stride = self.raster.columns + DISC_SIDE;
+        if stride < NARROW_STRIDE { NARROW_STRIDE } else { stride }
     }
 
     /// Number of cells, including unused ones.
@@ -81,6 +90,27 @@ impl Cells {
             cell_height,
         } = self.raster;
         index_along(point.y, cell_height, rows) * self.stride() + index_along(point.x, cell_width, columns)
+    }
+
+    /// Writes the index of [`Self::cell_at`] for the places at `x` and `y`, metres, to `cells`, as a whole number. All
+    /// have the same length. Fast where it is inlined into `VectorWidth::run`.
+    #[inline(always)]
+    pub(super) fn write_cells(&self, x: &[f64], y: &[f64], cells: &mut [f64]) {
+        let Raster {
+            columns,
+            rows,
+            cell_width,
+            cell_height,
+        } = self.raster;
+        let index_along = |length: f64, size: f64, last: f64| {
+            let index = length / size;
+            let index = if index > 0.0 { index } else { 0.0 };
+            (if index < last { index } else { last }).floor()
+        };
+        let (last_row, last_column, stride) = ((rows - 1) as f64, (columns - 1) as f64, self.stride() as f64);
+        for ((cell, &x), &y) in cells.iter_mut().zip(x).zip(y) {
+            *cell = index_along(y, cell_height, last_row) * stride + index_along(x, cell_width, last_column);
+        }
     }
 
     /// Returns the middle of a cell of the area.
@@ -114,5 +144,36 @@ impl Cells {
         // `CELLS_PER_RANGE` ensures it.
         assert!(spans.len() <= DISC_SIDE && spans.iter().all(|span| span.count <= DISC_SIDE));
         spans
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::rng::{Purpose, Stream};
+
+    use super::*;
+    use crate::vector_width::VectorWidth;
+
+    #[test]
+    fn cells_of_many_places_are_those_of_each_place() {
+        let mut stream = Stream::new(5, Purpose::Epicentre, 0);
+        for (width, height) in [(20.0, 20.0), (0.3, 61.7), (100.0, 1.0)] {
+            let cells = Cells::new(Area { width, height }, 3.0);
+            // Places in the area, beyond its edges, and on borders of cells.
+            let mut draw = |length: f64, size: f64| match stream.below(4) {
+                0 => size * stream.below(40) as f64,
+                1 => -stream.unit(),
+                _ => 1.1 * length * stream.unit(),
+            };
+            let x: Vec<f64> = (0..999).map(|_| draw(width, cells.raster.cell_width)).collect();
+            let y: Vec<f64> = (0..999).map(|_| draw(height, cells.raster.cell_height)).collect();
+            let places = x.iter().zip(&y);
+            let expected: Vec<usize> = places.map(|(&x, &y)| cells.cell_at(Point::new(x, y))).collect();
+            for vector_width in VectorWidth::supported() {
+                let mut written = vec![0.0; 999];
+                vector_width.run(|| cells.write_cells(&x, &y, &mut written));
+                assert!(written.iter().map(|&cell| cell as usize).eq(expected.iter().copied()));
+            }
+        }
     }
 }

@@ -2,12 +2,23 @@
 //! numbers, so sums do not depend on their order. [`Ages`](super::Ages) documents the methods and their preconditions.
 //! `CertainStaleness` keeps the same ages in less memory and must give the same gains, as its test checks.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 use std::array;
 
 use reveille_common::geometry::Point;
 
-use super::cells::{Cells, DISC_SIDE};
+use super::cells::{Cells, DISC_SIDE, NARROW_STRIDE};
 use super::index_table::SATURATION_AGE;
+use crate::vector_width::VectorWidth;
+
+/// One row of a square of cells.
+type Row = [u8; DISC_SIDE];
+/// Two rows, which vector instructions of 256 bits process together.
+type RowPair = [Row; 2];
 
 /// Cells that a device covers: the cells with a byte of all ones in the square at `corner`.
 #[derive(Clone, Debug)]
@@ -32,28 +43,43 @@ impl MaskDisc {
         }
     }
 
-    /// Returns the rows of the square in `cells`, which has `stride` cells per row, each with its mask. The unused rows
-    /// after the area make every slice of 16 whole rows valid.
-    #[inline]
-    fn rows<'a, T>(
-        &'a self,
-        cells: &'a [T],
-        stride: usize,
-    ) -> impl Iterator<Item = (&'a [T; DISC_SIDE], &'a [u8; DISC_SIDE])> {
-        let rows = cells[self.corner..][..DISC_SIDE * stride].chunks_exact(stride);
-        rows.filter_map(|row| row.first_chunk()).zip(&self.mask)
+    /// Returns the rows of the square in `cells`, which has `stride` cells per row, two by two. The unused rows after
+    /// the area make every slice of 16 whole rows valid.
+    #[inline(always)]
+    fn row_pairs<'a>(&self, cells: &'a [u8], stride: usize) -> impl Iterator<Item = RowPair> + use<'a> {
+        // Stated before the loop, so that the compiler omits the test of each row.
+        assert!(stride >= DISC_SIDE, "unused cells follow each row");
+        let mut rest = &cells[self.corner..][..DISC_SIDE * stride];
+        std::iter::from_fn(
+            #[inline(always)]
+            move || {
+                let pair;
+                (pair, rest) = rest.split_at_checked(2 * stride)?;
+                let (first, second) = pair.split_at(stride);
+                Some([*first.first_chunk()?, *second.first_chunk()?])
+            },
+        )
     }
 
-    #[inline]
-    fn rows_mut<'a, T>(
-        &'a self,
-        cells: &'a mut [T],
-        stride: usize,
-    ) -> impl Iterator<Item = (&'a mut [T; DISC_SIDE], &'a [u8; DISC_SIDE])> {
-        let rows = cells[self.corner..][..DISC_SIDE * stride].chunks_exact_mut(stride);
-        rows.filter_map(|row| row.first_chunk_mut()).zip(&self.mask)
+    /// Returns the masks of the rows of the square, two by two.
+    #[inline(always)]
+    fn mask_pairs(&self) -> &[RowPair] {
+        self.mask.as_chunks().0
     }
 }
+
+/// Returns the row of a square from the cell `start` on. The unused cells after the area leave room for it.
+#[inline(always)]
+fn row_at(cells: &[u8], start: usize) -> &Row {
+    cells[start..].first_chunk().expect(ROW_FITS)
+}
+
+#[inline(always)]
+fn row_at_mut(cells: &mut [u8], start: usize) -> &mut Row {
+    cells[start..].first_chunk_mut().expect(ROW_FITS)
+}
+
+const ROW_FITS: &str = "unused cells follow each row";
 
 /// Passes a TTI in neighbouring cells of a row: a cell is 1 TTI old if a chosen device covers it, and otherwise ages.
 #[inline]
@@ -78,27 +104,49 @@ fn all_ones_if(condition: bool) -> u8 {
     u8::from(condition).wrapping_neg()
 }
 
-/// Returns the sum of all bytes in `rows`, of which there are at most [`DISC_SIDE`].
-#[inline]
-fn sum_bytes(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
-    // Every x86-64 CPU has SSE2, so this is decided at compile time.
+/// Returns the sum of the worths whose byte in the mask is all ones, over at most 8 pairs of `worths` and masks.
+#[inline(always)]
+fn sum_masked(width: VectorWidth, pairs: impl Iterator<Item = (RowPair, RowPair)>) -> u32 {
     #[cfg(target_arch = "x86_64")]
-    if let Some(sse2) = pulp::core_arch::x86::Sse2::try_new() {
-        let zero = sse2._mm_setzero_si128();
-        // The sum of absolute differences to 0 adds eight bytes in one instruction.
-        let add_row = |sums, row| sse2._mm_add_epi64(sums, sse2._mm_sad_epu8(pulp::cast(row), zero));
-        let [first, second]: [u64; 2] = pulp::cast(rows.fold(zero, add_row));
-        return (first + second) as u32;
+    {
+        if let VectorWidth::V3(v3) = width {
+            let avx2 = v3.avx2;
+            // As a signed number, a byte of all ones is −1. So one instruction applies the mask, adds two neighbours
+            // and changes the sign. A lane of 16 bits holds 8 sums of at most 2 · 255.
+            let add_pair = |sums, (worths, mask): (RowPair, RowPair)| {
+                avx2._mm256_add_epi16(sums, avx2._mm256_maddubs_epi16(pulp::cast(worths), pulp::cast(mask)))
+            };
+            let sums = pairs.fold(v3.avx._mm256_setzero_si256(), add_pair);
+            let lanes: [i32; 8] = pulp::cast(avx2._mm256_madd_epi16(sums, v3.avx._mm256_set1_epi16(-1)));
+            return lanes.iter().sum::<i32>().cast_unsigned();
+        }
+        // Every x86-64 CPU has SSE2, so this is decided at compile time.
+        if let Some(sse2) = pulp::core_arch::x86::Sse2::try_new() {
+            let zero = sse2._mm_setzero_si128();
+            // The sum of absolute differences to 0 adds eight bytes in one instruction.
+            let add_row = |sums, (worths, mask): (Row, Row)| {
+                let masked = sse2._mm_and_si128(pulp::cast(worths), pulp::cast(mask));
+                sse2._mm_add_epi64(sums, sse2._mm_sad_epu8(masked, zero))
+            };
+            let sums = pairs.fold(zero, |sums, (worths, mask)| {
+                let sums = add_row(sums, (worths[0], mask[0]));
+                add_row(sums, (worths[1], mask[1]))
+            });
+            let [first, second]: [u64; 2] = pulp::cast(sums);
+            return (first + second) as u32;
+        }
     }
-    sum_bytes_portably(rows)
+    _ = width;
+    sum_masked_portably(pairs)
 }
 
-/// Returns the sum that [`sum_bytes`] describes, on any CPU.
+/// Returns the sum that [`sum_masked`] describes, on any CPU.
 #[inline]
-fn sum_bytes_portably(rows: impl Iterator<Item = [u8; DISC_SIDE]>) -> u32 {
+fn sum_masked_portably(pairs: impl Iterator<Item = (RowPair, RowPair)>) -> u32 {
     // The columns are summed in parallel: a sum of 16 bytes fits 16 bits.
-    let add_row = |sums: [u16; DISC_SIDE], row: [u8; DISC_SIDE]| array::from_fn(|i| sums[i] + u16::from(row[i]));
-    let column_sums = rows.fold([0; DISC_SIDE], add_row);
+    let column_sums = pairs.fold([0; DISC_SIDE], |sums: [u16; DISC_SIDE], (worths, mask)| {
+        array::from_fn(|i| sums[i] + u16::from(worths[0][i] & mask[0][i]) + u16::from(worths[1][i] & mask[1][i]))
+    });
     column_sums.into_iter().map(u32::from).sum()
 }
 
@@ -123,6 +171,7 @@ pub(super) struct CertainAges {
     uncovered_worths: Vec<u8>,
     /// Number of chosen devices that cover each cell; [`MANY`] stands for that many or more.
     cover_counts: Vec<u8>,
+    vector_width: VectorWidth,
 }
 
 impl CertainAges {
@@ -140,6 +189,7 @@ impl CertainAges {
             cell_worths: zeros.clone(),
             uncovered_worths: zeros,
             cover_counts: vec![0; cells.len()],
+            vector_width: VectorWidth::fastest(),
         };
         // Before the first TTI every place has age 1, as after a reported event.
         ages.advance(true);
@@ -147,10 +197,17 @@ impl CertainAges {
     }
 
     /// Returns the gain of the `j`-th device, at most 16 · 16 · 255.
-    #[inline]
+    #[inline(always)]
     pub(super) fn gain(&self, j: usize) -> u32 {
-        let rows = self.discs[j].rows(&self.uncovered_worths, self.stride);
-        sum_bytes(rows.map(|(uncovered, mask)| array::from_fn(|i| uncovered[i] & mask[i])))
+        let disc = &self.discs[j];
+        let masks = disc.mask_pairs().iter().copied();
+        if self.stride == NARROW_STRIDE {
+            let worths = disc.row_pairs(&self.uncovered_worths, NARROW_STRIDE);
+            sum_masked(self.vector_width, worths.zip(masks))
+        } else {
+            let worths = disc.row_pairs(&self.uncovered_worths, self.stride);
+            sum_masked(self.vector_width, worths.zip(masks))
+        }
     }
 
     /// Returns the worth that the chosen devices leave uncovered.
@@ -163,26 +220,33 @@ impl CertainAges {
         self.cell_worths.iter().copied().map(u64::from).sum()
     }
 
+    #[inline(always)]
     pub(super) fn add(&mut self, j: usize) {
         let disc = &self.discs[j];
-        let rows = disc.rows_mut(&mut self.uncovered_worths, self.stride);
-        for ((uncovered, mask), (counts, _)) in rows.zip(disc.rows_mut(&mut self.cover_counts, self.stride)) {
+        let mut start = disc.corner;
+        for mask in &disc.mask {
+            let uncovered = row_at_mut(&mut self.uncovered_worths, start);
+            let counts = row_at_mut(&mut self.cover_counts, start);
             // Arrays computed as a whole become vector instructions.
             *uncovered = array::from_fn(|i| uncovered[i] & !mask[i]);
             // A byte of the mask is 0 or 255, so its lowest bit counts one device.
             *counts = array::from_fn(|i| counts[i].saturating_add(mask[i] & 1));
+            start += self.stride;
         }
     }
 
+    #[inline(always)]
     pub(super) fn remove(&mut self, j: usize) {
         let disc = &self.discs[j];
-        let rows = disc.rows_mut(&mut self.uncovered_worths, self.stride);
-        let counts = disc.rows_mut(&mut self.cover_counts, self.stride);
-        let worths = disc.rows(&self.cell_worths, self.stride);
-        for (((uncovered, mask), (counts, _)), (worths, _)) in rows.zip(counts).zip(worths) {
-            *counts = array::from_fn(|i| counts[i] - (u8::from(counts[i] < MANY) & mask[i]));
-            // Without a branch, which would prevent vector instructions.
+        let mut start = disc.corner;
+        for mask in &disc.mask {
+            let uncovered = row_at_mut(&mut self.uncovered_worths, start);
+            let counts = row_at_mut(&mut self.cover_counts, start);
+            let worths = row_at(&self.cell_worths, start);
+            // Masks instead of branches, which would prevent vector instructions.
+            *counts = array::from_fn(|i| counts[i] - (all_ones_if(counts[i] < MANY) & mask[i] & 1));
             *uncovered = array::from_fn(|i| worths[i] & all_ones_if(counts[i] == 0));
+            start += self.stride;
         }
     }
 
@@ -221,12 +285,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_bytes_are_summed() {
-        let rows: [[u8; DISC_SIDE]; DISC_SIDE] = array::from_fn(|i| array::from_fn(|j| (i * 97 + j * 41) as u8));
-        for rows in [&rows[..], &rows[..1], &[], &[[u8::MAX; DISC_SIDE]; DISC_SIDE]] {
-            let expected: u32 = rows.as_flattened().iter().copied().map(u32::from).sum();
-            assert_eq!(sum_bytes(rows.iter().copied()), expected);
-            assert_eq!(sum_bytes_portably(rows.iter().copied()), expected);
+    fn worths_under_the_mask_are_summed() {
+        let pair = |seed: usize| -> RowPair {
+            array::from_fn(|row| array::from_fn(|i| (seed * 59 + row * 97 + i * 41) as u8))
+        };
+        let mask = |seed: usize| pair(seed).map(|row| row.map(|byte| all_ones_if(byte % 3 == 0)));
+        let mixed: [(RowPair, RowPair); DISC_SIDE / 2] = array::from_fn(|i| (pair(i), mask(i + 100)));
+        let largest = [([[u8::MAX; DISC_SIDE]; 2], [[u8::MAX; DISC_SIDE]; 2]); DISC_SIDE / 2];
+        for pairs in [&mixed[..], &mixed[..1], &[], &largest] {
+            let worths = pairs.iter().flat_map(|(worths, _)| worths.as_flattened());
+            let masks = pairs.iter().flat_map(|(_, mask)| mask.as_flattened());
+            let inside = worths.zip(masks).filter(|(_, mask)| **mask > 0);
+            let expected: u32 = inside.map(|(worth, _)| u32::from(*worth)).sum();
+            for width in VectorWidth::supported() {
+                assert_eq!(
+                    width.run(|| sum_masked(width, pairs.iter().copied())),
+                    expected,
+                    "{width:?}"
+                );
+            }
+            assert_eq!(sum_masked_portably(pairs.iter().copied()), expected);
         }
     }
 }

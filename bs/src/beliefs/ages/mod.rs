@@ -14,6 +14,11 @@
 //! reports. Digests depend on every bit of a gain. docs/age-index.md states the rule, and
 //! `tests/src/reference/age_index.rs` computes gains a second time.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 mod cells;
 mod certain;
 mod check;
@@ -24,6 +29,7 @@ mod probabilistic;
 pub mod selector;
 pub(crate) mod staleness;
 
+use pulp::NullaryFnOnce;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
@@ -33,6 +39,8 @@ pub(crate) use self::check::check_cells;
 pub use self::check::check_price;
 pub use self::index_table::{MAX_WORTH, MIN_PRICE, effective_area};
 use self::probabilistic::ProbabilisticAges;
+use super::posterior::PlacePrior;
+use crate::vector_width::VectorWidth;
 
 /// Ages of the cells of an area, and the worth that the devices chosen for the coming TTI leave uncovered.
 ///
@@ -41,12 +49,28 @@ use self::probabilistic::ProbabilisticAges;
 pub struct Ages {
     cells: Cells,
     model: AgeModel,
+    vector_width: VectorWidth,
 }
 
 #[derive(Clone, Debug)]
 enum AgeModel {
     Certain(CertainAges),
     Probabilistic(ProbabilisticAges),
+}
+
+/// A call of [`Ages::gain`]: a type, since a closure may not be inlined into [`VectorWidth::run`].
+struct GainOf<'a> {
+    ages: &'a Ages,
+    j: usize,
+}
+
+impl NullaryFnOnce for GainOf<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        self.ages.inlined_gain(self.j)
+    }
 }
 
 impl Ages {
@@ -75,13 +99,22 @@ impl Ages {
             DetectionKind::Range => probabilistic(&|_| 1.0),
             DetectionKind::Probabilistic => probabilistic(&|d| sensing.p(d)),
         };
-        Self { cells, model }
+        Self {
+            cells,
+            model,
+            vector_width: VectorWidth::fastest(),
+        }
     }
 
     /// Returns the gain of adding the `j`-th device: the sum over its cells of the worths of their ages. With
     /// probabilistic detection each worth is weighted by the probability that only this device detects.
-    #[inline]
     pub fn gain(&self, j: usize) -> f64 {
+        self.vector_width.run(GainOf { ages: self, j })
+    }
+
+    /// Returns [`Self::gain`], for callers inlined into [`VectorWidth::run`].
+    #[inline(always)]
+    fn inlined_gain(&self, j: usize) -> f64 {
         match &self.model {
             AgeModel::Certain(certain) => f64::from(certain.gain(j)),
             AgeModel::Probabilistic(probabilistic) => probabilistic.gain(j),
@@ -107,6 +140,12 @@ impl Ages {
 
     /// Adds the `j`-th device, which is not chosen, to the choice.
     pub fn add(&mut self, j: usize) {
+        self.inlined_add(j);
+    }
+
+    /// Does the work of [`Self::add`], for callers inlined into [`VectorWidth::run`].
+    #[inline(always)]
+    fn inlined_add(&mut self, j: usize) {
         match &mut self.model {
             AgeModel::Certain(certain) => certain.add(j),
             AgeModel::Probabilistic(probabilistic) => probabilistic.add(j),
@@ -115,6 +154,12 @@ impl Ages {
 
     /// Removes the `j`-th device, which is chosen, from the choice.
     pub fn remove(&mut self, j: usize) {
+        self.inlined_remove(j);
+    }
+
+    /// Does the work of [`Self::remove`], for callers inlined into [`VectorWidth::run`].
+    #[inline(always)]
+    fn inlined_remove(&mut self, j: usize) {
         match &mut self.model {
             AgeModel::Certain(certain) => certain.remove(j),
             AgeModel::Probabilistic(probabilistic) => probabilistic.remove(j),
@@ -151,6 +196,26 @@ impl Ages {
     /// Area of a cell, m².
     pub(crate) fn cell_surface(&self) -> f64 {
         self.cells.surface()
+    }
+}
+
+/// The relative density of the epicentre is the age of its place.
+impl PlacePrior for Ages {
+    fn density_at(&self, place: Point) -> f64 {
+        self.age_at(place)
+    }
+
+    #[inline(always)]
+    fn densities_at(&self, x: &[f64], y: &[f64], densities: &mut [f64]) {
+        self.cells.write_cells(x, y, densities);
+        for density in densities {
+            // A whole number, see `Cells::write_cells`.
+            let cell = *density as u32 as usize;
+            *density = match &self.model {
+                AgeModel::Certain(certain) => f64::from(certain.age(cell)),
+                AgeModel::Probabilistic(probabilistic) => probabilistic.age(cell),
+            };
+        }
     }
 }
 

@@ -9,6 +9,7 @@
 
 use reveille_common::geometry::Point;
 
+use super::blocks::{BLOCK_SIDE, Block};
 use crate::beliefs::grid::Raster;
 
 /// Exclusive limit on the rows, and columns, of cells that a device covers: the bits of a row fit a `u32`. With c =
@@ -29,7 +30,6 @@ pub(super) struct CoverageBits {
     /// Cells that at least two added devices cover.
     covered_twice: Vec<u64>,
     discs: Vec<BitDisc>,
-    covered_count: u32,
 }
 
 /// Cells that a device covers: bit `b` of `rows[i]` is the cell in row `first_cell.0 + i`, column `first_cell.1 + b`.
@@ -62,10 +62,11 @@ impl BitDisc {
             // At most 31 columns, see `DISC_SIDE`, so the shifts lose no bit.
             rows[row_index - row] = u32::MAX >> (31 - (last - first)) << (first - column);
         }
+        let (word, shift) = CoverageBits::place(stride, row as u32, column as u32);
         Self {
             first_cell: (row as u32, column as u32),
-            word: ((1 + column / 32) * stride + row) as u32,
-            shift: (column % 32) as u32,
+            word,
+            shift: shift.into(),
             rows,
         }
     }
@@ -114,7 +115,6 @@ impl CoverageBits {
                 .iter()
                 .map(|&position| BitDisc::new(raster, stride, position, d_max))
                 .collect(),
-            covered_count: 0,
         }
     }
 
@@ -122,7 +122,6 @@ impl CoverageBits {
     pub(super) fn clear(&mut self) {
         self.covered.fill(0);
         self.covered_twice.fill(0);
-        self.covered_count = 0;
     }
 
     /// Returns the number of cells of the `j`-th device that no device covers.
@@ -145,10 +144,8 @@ impl CoverageBits {
             covered,
             covered_twice,
             discs,
-            covered_count,
         } = self;
         let disc = &discs[j];
-        *covered_count += count_outside(covered, disc);
         for (begin, to_east, to_west) in disc.tiles(*stride) {
             let shift = disc.shift;
             let (covered, covered_twice) = (rows_from(covered, begin), rows_from(covered_twice, begin));
@@ -168,7 +165,6 @@ impl CoverageBits {
             covered,
             covered_twice,
             discs,
-            covered_count,
         } = self;
         let disc = &discs[j];
         // Only cells of the disc change. Here the others cover them.
@@ -179,8 +175,6 @@ impl CoverageBits {
                 by_others[i] |= cells;
             });
         }
-        let lost_cells = |i: usize| (disc.rows[i] & !by_others[i]).count_ones();
-        *covered_count -= (0..DISC_SIDE).map(lost_cells).sum::<u32>();
         for (begin, to_east, to_west) in disc.tiles(*stride) {
             let shift = disc.shift;
             let (covered, covered_twice) = (rows_from(covered, begin), rows_from(covered_twice, begin));
@@ -198,9 +192,10 @@ impl CoverageBits {
         self.discs[a].offset_in(&self.discs[b]).is_some()
     }
 
-    /// Number of covered cells.
-    pub(super) const fn covered_count(&self) -> u32 {
-        self.covered_count
+    /// Returns the number of covered cells.
+    pub(super) fn covered_count(&self) -> u32 {
+        // Each column is in the low half of exactly one tile.
+        self.covered.iter().map(|word| (*word as u32).count_ones()).sum()
     }
 
     /// Returns whether the `j`-th device covers the cell.
@@ -214,21 +209,33 @@ impl CoverageBits {
         row < DISC_SIDE && column < 32 && rows[row] >> column & 1 == 1
     }
 
-    /// Returns whether no device covers the cell.
-    #[inline(always)]
-    pub(super) fn is_uncovered(&self, row: u32, column: u32) -> bool {
-        self.has_uncovered((row, column), (1, 1))
+    /// Returns the word of a cell and its bit in it, less than 32.
+    pub(super) const fn place(stride: usize, row: u32, column: u32) -> (u32, u8) {
+        ((1 + column / 32) * stride as u32 + row, (column % 32) as u8)
     }
 
-    /// Returns whether there is a cell that no device covers in a block: its first row and column, and at most 33 rows
-    /// and columns from there.
+    /// Number of words per tile.
+    pub(super) const fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Returns whether no device covers the cell.
+    #[cfg(test)]
+    pub(super) fn is_uncovered(&self, row: u32, column: u32) -> bool {
+        let (word, bit) = Self::place(self.stride, row, column);
+        self.covered[word as usize] >> bit & 1 == 0
+    }
+
+    /// Returns the cells of a block that no device covers, by the bits of `CellPosition::block_bit`.
     #[inline(always)]
-    pub(super) fn has_uncovered(&self, (row, column): (u32, u32), (rows, columns): (u32, u32)) -> bool {
-        let first = (1 + column as usize / 32) * self.stride + row as usize;
-        let block_rows = &self.covered[first..first + rows as usize];
-        let covered = block_rows.iter().fold(u64::MAX, |covered, row| covered & row);
-        // The words also hold columns beyond the block.
-        (!covered >> (column % 32)) & ((1 << columns) - 1) != 0
+    pub(super) fn uncovered_in(&self, block: &Block) -> u16 {
+        let words = self.covered[block.word as usize..].first_chunk::<BLOCK_SIDE>();
+        // A block lies in the low half of a tile, so its columns fit the word.
+        let columns = words
+            .expect(ROWS_FIT)
+            .map(|word| (word >> block.shift) as u16 & ((1 << BLOCK_SIDE) - 1));
+        let covered = (0..BLOCK_SIDE).fold(0, |covered, row| covered | columns[row] << (row * BLOCK_SIDE));
+        !covered & block.cell_bits
     }
 }
 

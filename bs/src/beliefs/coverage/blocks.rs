@@ -2,13 +2,18 @@
 //! (`policy/q_learning/area_state/selector.rs`) walks through blocks, cells and devices in this order, so
 //! digests depend on it.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. `CoverageBits::has_uncovered`
-/// limits it to 33.
-const BLOCK_SIDE: usize = 4;
+/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. The cells of a block fit the bits
+/// of a `u16`, see [`Block::cell_bits`].
+pub(super) const BLOCK_SIDE: usize = 4;
 
 /// The cells that devices can cover, in blocks of neighbours, the most confined blocks first. Few devices reach a
 /// corner of the area, and their discs have little area elsewhere. So covering a corner first hardly affects the other
@@ -22,14 +27,14 @@ pub(super) struct CellBlocks {
     pub(super) devices: Vec<u32>,
 }
 
-/// A block of cells: its south-west corner, and the ranges (start, end) of its cells and devices in [`CellBlocks`].
+/// A block of cells: the place of its south-west corner (`CoverageBits::place`), and the ranges (start, end) of its
+/// cells and devices in [`CellBlocks`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
-    pub(super) row: u32,
-    pub(super) column: u32,
-    /// Number of its rows, and of its columns, in the area.
-    pub(super) rows: u32,
-    pub(super) columns: u32,
+    pub(super) word: u32,
+    pub(super) shift: u8,
+    /// Its cells, see [`CellPosition::block_bit`].
+    pub(super) cell_bits: u16,
     pub(super) cells: (u32, u32),
     pub(super) devices: (u32, u32),
 }
@@ -39,16 +44,26 @@ pub(super) struct Block {
 pub struct CellPosition {
     pub(super) row: u32,
     pub(super) column: u32,
+    block_bit: u16,
+}
+
+impl CellPosition {
+    /// Bit of the cell in its block, row by row from the south-west corner.
+    #[inline(always)]
+    pub(crate) const fn block_bit(self) -> u16 {
+        self.block_bit
+    }
 }
 
 impl CellBlocks {
     /// Creates the blocks of the cells of `raster` that devices at `positions` can cover. `reaches` decides this for a
-    /// device, row and column, and is false beyond `d_max`.
+    /// device, row and column, and is false beyond `d_max`. `place` is `CoverageBits::place` of a row and column.
     pub(super) fn new(
         raster: &Raster,
         positions: &[Point],
         d_max: f64,
         reaches: impl Fn(usize, u32, u32) -> bool,
+        place: impl Fn(u32, u32) -> (u32, u8),
     ) -> Self {
         let (rows, columns) = (raster.rows as u32, raster.columns as u32);
         let cells_at = |corner: (u32, u32)| {
@@ -101,13 +116,19 @@ impl CellBlocks {
             let mut reachable: Vec<(u32, u32)> = cells_at(corner).filter(is_reachable).collect();
             reachable.sort_by_key(|&(row, column)| area_in_reach(row, column));
             let (first_cell, first_device) = (cells.len() as u32, devices.len() as u32);
-            cells.extend(reachable.into_iter().map(|(row, column)| CellPosition { row, column }));
+            cells.extend(reachable.into_iter().map(|(row, column)| CellPosition {
+                row,
+                column,
+                block_bit: 1 << ((row - corner.0) * BLOCK_SIDE as u32 + column - corner.1),
+            }));
             devices.append(&mut devices_by_block[i]);
+            let (word, shift) = place(corner.0, corner.1);
             blocks.push(Block {
-                row: corner.0,
-                column: corner.1,
-                rows: (rows - corner.0).min(BLOCK_SIDE as u32),
-                columns: (columns - corner.1).min(BLOCK_SIDE as u32),
+                word,
+                shift,
+                cell_bits: cells[first_cell as usize..]
+                    .iter()
+                    .fold(0, |bits, cell: &CellPosition| bits | cell.block_bit),
                 cells: (first_cell, cells.len() as u32),
                 devices: (first_device, devices.len() as u32),
             });
@@ -119,14 +140,17 @@ impl CellBlocks {
     pub(super) fn single(count: usize) -> Self {
         Self {
             blocks: vec![Block {
-                row: 0,
-                column: 0,
-                rows: 1,
-                columns: 1,
+                word: 0,
+                shift: 0,
+                cell_bits: 1,
                 cells: (0, 1),
                 devices: (0, count as u32),
             }],
-            cells: vec![CellPosition { row: 0, column: 0 }],
+            cells: vec![CellPosition {
+                row: 0,
+                column: 0,
+                block_bit: 1,
+            }],
             devices: (0..count as u32).collect(),
         }
     }

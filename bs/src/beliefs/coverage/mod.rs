@@ -15,12 +15,14 @@ mod blocks;
 mod shares;
 mod union;
 
+use std::ops::Range;
+
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 use self::bits::CoverageBits;
+use self::blocks::CellBlocks;
 pub use self::blocks::CellPosition;
-use self::blocks::{Block, CellBlocks};
 use self::shares::{QUANTA_PER_CELL, UncoveredShares};
 pub use self::union::CoverageUnion;
 use super::grid::{self, Raster};
@@ -84,7 +86,8 @@ impl Coverage {
             DetectionKind::Range => {
                 let bits = CoverageBits::new(&raster, positions, sensing.d_max);
                 let reaches = |j: usize, row: u32, column: u32| bits.reaches(j, row, column);
-                let cell_blocks = CellBlocks::new(&raster, positions, sensing.d_max, reaches);
+                let place = |row: u32, column: u32| CoverageBits::place(bits.stride(), row, column);
+                let cell_blocks = CellBlocks::new(&raster, positions, sensing.d_max, reaches, place);
                 (CoverageModel::Range(bits), cell_blocks)
             }
             // No cell is ever fully covered, so cells have no order.
@@ -243,41 +246,35 @@ impl Coverage {
         self.cell_blocks.blocks.len()
     }
 
-    /// Returns whether a cell of `block` is uncovered; always true if detection is probabilistic.
+    /// Returns the cells of `block` that devices can cover and no added device fully covers, by the bits of
+    /// [`CellPosition::block_bit`]. All of them if detection is probabilistic.
     #[inline(always)]
-    pub(crate) fn has_uncovered(&self, block: usize) -> bool {
-        let CoverageModel::Range(bits) = &self.model else {
-            return true;
-        };
-        let Block {
-            row,
-            column,
-            rows,
-            columns,
-            ..
-        } = self.cell_blocks.blocks[block];
-        bits.has_uncovered((row, column), (rows, columns))
+    pub(crate) fn uncovered_in(&self, block: usize) -> u16 {
+        let block = &self.cell_blocks.blocks[block];
+        match &self.model {
+            CoverageModel::Range(bits) => bits.uncovered_in(block),
+            CoverageModel::Probabilistic(_) => block.cell_bits,
+        }
     }
 
-    /// Returns the cells of a block that devices can cover, in the order in which they should be covered.
-    pub(crate) fn cells_in(&self, block: usize) -> &[CellPosition] {
+    /// Returns the indices of the cells of a block that devices can cover, in the order in which they should be
+    /// covered.
+    #[inline(always)]
+    pub(crate) fn cells_in(&self, block: usize) -> Range<usize> {
         let (first, end) = self.cell_blocks.blocks[block].cells;
-        &self.cell_blocks.cells[first as usize..end as usize]
+        first as usize..end as usize
+    }
+
+    /// Returns the cell with this index, see [`Self::cells_in`].
+    #[inline(always)]
+    pub(crate) fn cell(&self, index: usize) -> CellPosition {
+        self.cell_blocks.cells[index]
     }
 
     /// Returns the devices that can cover at least one cell of `block`, in ascending order.
     pub(crate) fn devices_covering_block(&self, block: usize) -> &[u32] {
         let (first, end) = self.cell_blocks.blocks[block].devices;
         &self.cell_blocks.devices[first as usize..end as usize]
-    }
-
-    /// Returns whether no added device fully covers `cell`; always true if detection is probabilistic.
-    #[inline(always)]
-    pub(crate) fn is_uncovered(&self, cell: CellPosition) -> bool {
-        match &self.model {
-            CoverageModel::Range(bits) => bits.is_uncovered(cell.row, cell.column),
-            CoverageModel::Probabilistic(_) => true,
-        }
     }
 
     /// Returns whether the `j`-th device covers `cell`; always true if detection is probabilistic, since the one cell
@@ -377,6 +374,28 @@ mod tests {
                         "{kind:?}, {width} m wide, step {step}"
                     );
                     assert!(coverage.uncovered().to_bits() == expected.uncovered().to_bits());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn uncovered_cells_of_a_block_are_those_that_no_added_device_reaches() {
+        for (width, height) in AREAS {
+            let area = Area { width, height };
+            let positions = place_devices(&Layout::Uniform, area, 40, 3);
+            let mut coverage = Coverage::new(&positions, area, &sensing(DetectionKind::Range));
+            let mut stream = Stream::new(4, Purpose::Epicentre, 0);
+            for _ in 0..20 {
+                let added: Vec<usize> = (0..40).filter(|_| stream.unit() < 0.1).collect();
+                coverage.replace(added.iter().copied());
+                for block in 0..coverage.block_count() {
+                    let cells = coverage.cells_in(block).map(|index| coverage.cell(index));
+                    let is_covered = |cell: &CellPosition| added.iter().any(|&j| coverage.reaches(j, *cell));
+                    let expected = cells
+                        .filter(|cell| !is_covered(cell))
+                        .fold(0, |bits, cell| bits | cell.block_bit());
+                    assert_eq!(coverage.uncovered_in(block), expected, "{width} m wide, block {block}");
                 }
             }
         }

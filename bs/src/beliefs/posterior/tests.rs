@@ -1,11 +1,28 @@
 //! Tests of [`EpicentreBelief`]: its points, weights and candidates against sums over the points of a ring, as
 //! docs/q-learning.md defines them. Lost reports ([`EpicentreBelief::with_loss`]) are not tested here.
 
+use std::f64::consts::TAU;
+
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::Fusion;
 
+use super::points::MAX_POINTS_PER_GROUP;
 use super::*;
+
+/// A point of a belief with its weight.
+#[derive(Debug)]
+struct WeightedPlace {
+    position: Point,
+    weight: f64,
+}
+
+fn places_of(belief: &EpicentreBelief) -> Vec<WeightedPlace> {
+    let points = belief.points.positions().zip(belief.points.weights());
+    points
+        .map(|(position, &weight)| WeightedPlace { position, weight })
+        .collect()
+}
 
 const D_MAX: f64 = 4.0;
 const AREA: Area = Area {
@@ -44,13 +61,13 @@ fn three_reports_locate_the_event_and_its_closest_device() {
         let mut information: f64 = 0.0;
         for &j in in_range.iter().rev().take(3) {
             let d = positions[j].distance(event);
-            belief.add_reporter(DeviceId(j as u32), d, uniform_prior);
+            belief.add_reporter(DeviceId(j as u32), d, &uniform_prior);
             information = information.max(sensing.p(d));
         }
         assert!(
-            belief.points.iter().any(|p| p.position.distance(event) < 1e-5),
+            places_of(&belief).iter().any(|p| p.position.distance(event) < 1e-5),
             "seed {seed}: no point at the event: {:?}",
-            belief.points
+            places_of(&belief)
         );
         let (next, gain) = belief.next_candidate(information, |_| true).expect("a device adds");
         assert_eq!(next.index(), closest, "seed {seed}");
@@ -179,7 +196,7 @@ fn without_silent_devices_gains_are_plain_sums_over_the_ring() {
         let positions = place_devices(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         belief.start_event();
-        belief.add_reporter(DeviceId(h), d, uniform_prior);
+        belief.add_reporter(DeviceId(h), d, &uniform_prior);
         let definition = BeliefDefinition::alone(&positions, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let mut remaining: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
@@ -218,7 +235,7 @@ fn a_miss_cost_changes_the_order_but_no_gain() {
         let positions = place_devices(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = EpicentreBelief::new(&positions, AREA, &sensing).with_miss_cost(miss_cost);
         belief.start_event();
-        belief.add_reporter(DeviceId(h), d, uniform_prior);
+        belief.add_reporter(DeviceId(h), d, &uniform_prior);
         let definition = BeliefDefinition::alone(&positions, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let expected_gain = |j: usize| definition.expected_gain(&places, j, information);
@@ -261,17 +278,17 @@ fn silence_weights_the_points_of_the_ring() {
             };
             let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
             belief.start_event();
-            belief.add_reporter(DeviceId(h), d, definition.prior);
-            for place in &belief.points {
+            belief.add_reporter(DeviceId(h), d, &definition.prior);
+            for place in places_of(&belief) {
                 assert!(
                     place.weight.to_bits() == 1f64.to_bits(),
                     "all points weigh 1 before the silence"
                 );
             }
-            belief.observe_silence(is_on, definition.prior);
+            belief.observe_silence(is_on, &definition.prior);
             // A kept point stands for up to 512/32 points, so its weight is a multiple of the weight in the definition.
             assert!(belief.points.len() <= 2 * MAX_POINTS_PER_GROUP);
-            for place in &belief.points {
+            for place in places_of(&belief) {
                 let multiple = place.weight / definition.weight(place.position);
                 assert!(
                     (multiple - multiple.round()).abs() < 1e-9 && (1.0..17.0).contains(&multiple.round()),
@@ -321,10 +338,10 @@ fn coincident_devices_add_no_point_and_a_third_report_locates_the_event() {
     let mut belief = EpicentreBelief::new(&positions, AREA, &sensing_with(Fusion::Max));
     belief.start_event();
     for (j, point_count) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
-        belief.add_reporter(DeviceId(j), positions[j as usize].distance(event), uniform_prior);
+        belief.add_reporter(DeviceId(j), positions[j as usize].distance(event), &uniform_prior);
         assert_eq!(belief.points.len(), point_count, "after the report of device {j}");
     }
-    assert!(belief.points[0].position.distance(event) < 1e-5);
+    assert!(places_of(&belief)[0].position.distance(event) < 1e-5);
 }
 
 #[test]
@@ -337,13 +354,13 @@ fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
         };
         let mut belief = EpicentreBelief::new(&positions, AREA, &sensing);
         belief.start_event();
-        belief.add_reporter(DeviceId(0), 3.0, uniform_prior);
+        belief.add_reporter(DeviceId(0), 3.0, &uniform_prior);
         belief.add_far_reporter(DeviceId(1));
         // In range of the woken device, and beyond.
         let weights = |belief: &EpicentreBelief| -> [f64; 2] {
             let weight_of = |is_in_range: bool| {
-                let selected = belief
-                    .points
+                let places = places_of(belief);
+                let selected = places
                     .iter()
                     .filter(|p| (p.position.distance(positions[1]) <= D_MAX) == is_in_range);
                 selected.map(|place| place.weight).sum()
@@ -357,7 +374,7 @@ fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
         );
         // A second ring that leaves two points: one within that range, one outside.
         let event = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
-        belief.add_reporter(DeviceId(2), positions[2].distance(event), uniform_prior);
+        belief.add_reporter(DeviceId(2), positions[2].distance(event), &uniform_prior);
         let [in_range, beyond] = weights(&belief);
         assert!(
             belief.points.len() == 2 && in_range < 1e-9 * beyond,
@@ -379,16 +396,16 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let (reporter, d) = (DeviceId(7), 2.5);
         let is_on = |j: DeviceId| j.0.is_multiple_of(2);
         belief.start_event();
-        belief.add_reporter(reporter, d, uniform_prior);
-        belief.observe_silence(is_on, uniform_prior);
+        belief.add_reporter(reporter, d, &uniform_prior);
+        belief.observe_silence(is_on, &uniform_prior);
         let (next, gain) = belief
             .next_candidate(sensing.p(d), |j| !is_on(j))
             .expect("a device adds");
         // The definition, with logarithms: the product of all these small factors would underflow.
         let centre = positions[reporter.index()];
         let places: Vec<Point> = (0..POINTS_PER_RING)
-            .map(direction)
-            .map(|(x, y)| Point::new(centre.x + d * x, centre.y + d * y))
+            .map(|i| TAU * i as f64 / POINTS_PER_RING as f64)
+            .map(|phi| Point::new(centre.x + d * libm::cos(phi), centre.y + d * libm::sin(phi)))
             .filter(|&at| AREA.contains(at))
             .collect();
         let log_weight = |at: &Point| -> f64 {
@@ -432,10 +449,10 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             .expect("a place");
         for at in [event, farthest] {
             belief.start_event();
-            belief.add_reporter(reporter, d, uniform_prior);
-            belief.observe_silence(is_on, uniform_prior);
-            belief.add_reporter(second, positions[9].distance(at), uniform_prior);
-            belief.add_reporter(DeviceId(11), positions[11].distance(at), uniform_prior);
+            belief.add_reporter(reporter, d, &uniform_prior);
+            belief.observe_silence(is_on, &uniform_prior);
+            belief.add_reporter(second, positions[9].distance(at), &uniform_prior);
+            belief.add_reporter(DeviceId(11), positions[11].distance(at), &uniform_prior);
             let candidate = belief
                 .next_candidate(sensing.p(d), |j| !is_on(j))
                 .expect("a device adds");
@@ -457,7 +474,7 @@ fn no_device_is_returned_twice_in_an_event() {
             belief.next_candidate(0.0, |_| true).is_none(),
             "no candidate before a report"
         );
-        belief.add_reporter(DeviceId(44), 2.0, uniform_prior);
+        belief.add_reporter(DeviceId(44), 2.0, &uniform_prior);
         let mut returned: Vec<u32> = std::iter::from_fn(|| belief.next_candidate(0.0, |_| true))
             .map(|(j, _)| j.0)
             .collect();

@@ -141,8 +141,7 @@ impl Policy for Dt {
             self.token_builder.add_report(seen, report);
         }
         let ages = self.token_builder.ages();
-        self.candidates
-            .start_event_with_prior(seen, reports, |place| ages.age_at(place));
+        self.candidates.start_event_with_prior(seen, reports, ages);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
@@ -158,8 +157,7 @@ impl Policy for Dt {
         if let Some(report) = report {
             self.token_builder.add_report(seen, report);
             let ages = self.token_builder.ages();
-            self.candidates
-                .add_report_with_prior(seen, report, |place| ages.age_at(place));
+            self.candidates.add_report_with_prior(seen, report, ages);
         }
     }
 

@@ -236,8 +236,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
             }
         }
         let ages = self.token_builder.ages();
-        self.candidates
-            .start_event_with_prior(seen, reports, |place| ages.age_at(place));
+        self.candidates.start_event_with_prior(seen, reports, ages);
         self.battery_source
             .update_estimator(|estimator| estimator.update_from_reports(seen.now, seen.plan, reports));
         self.policy
@@ -275,8 +274,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         if let Some(report) = report {
             self.token_builder.add_report(seen, report);
             let ages = self.token_builder.ages();
-            self.candidates
-                .add_report_with_prior(seen, report, |place| ages.age_at(place));
+            self.candidates.add_report_with_prior(seen, report, ages);
         }
         self.policy
             .take_wake_up_answer(&self.battery_source.for_policy(seen), report);

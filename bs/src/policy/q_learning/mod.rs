@@ -179,7 +179,7 @@ impl Policy for QLearning {
                 < self.epsilon(seen);
         self.duty.record_event();
         let Self { duty, candidates, .. } = self;
-        candidates.start_event_with_prior(seen, reports, |place| duty.prior(place));
+        candidates.start_event_with_prior(seen, reports, &|place| duty.prior(place));
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
@@ -205,7 +205,7 @@ impl Policy for QLearning {
         if let Some(report) = report {
             self.report_count += 1;
             let Self { duty, candidates, .. } = self;
-            candidates.add_report_with_prior(seen, report, |place| duty.prior(place));
+            candidates.add_report_with_prior(seen, report, &|place| duty.prior(place));
         }
     }
 

@@ -2,19 +2,31 @@
 //! with ages plan by it. Ties and the order of evaluations are part of the result, and so of digests. docs/age-index.md
 //! states the rule; `tests/src/reference/age_index.rs` repeats it, with `IMPROVEMENT_ROUNDS`.
 
+#![expect(
+    clippy::inline_always,
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
+)]
+
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::collections::binary_heap::PeekMut;
 use std::sync::Arc;
 
+use pulp::NullaryFnOnce;
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
 
 use super::Ages;
+use crate::vector_width::VectorWidth;
 
 /// Number of rounds of replacing chosen devices. The first round brings most of the improvement, rounds after the
 /// second hardly any.
 const IMPROVEMENT_ROUNDS: usize = 2;
+
+/// Number of chosen devices before the first review of all candidates, for an area of this many d_max². The time of a
+/// choice depends on it, not the result: by then the choice covers much of the area, and most candidates are worth
+/// less than their price.
+const REVIEWS_PER_AREA: f64 = 1.0 / 6.0;
 
 /// Selects the sensing devices of one TTI at a time.
 #[derive(Clone, Debug)]
@@ -24,6 +36,8 @@ pub struct DeviceSelector {
     d_max: f64,
     /// Candidates by [`ratio_key`].
     heap: BinaryHeap<u64>,
+    /// Number of chosen devices at the first review; it doubles with each further one.
+    first_review: usize,
     /// Gain by device at the start of a choice, before it adds a device.
     gains_alone: Vec<f64>,
     /// Gain at the start less the price by device; negative infinity for a chosen device.
@@ -32,6 +46,27 @@ pub struct DeviceSelector {
     neighbours: Option<Arc<NeighbourLists>>,
     /// Chosen devices in order; `None` for a device removed without a replacement.
     chosen: Vec<Option<u32>>,
+    /// Scratch space of [`Self::best_around`].
+    rivals: Vec<u32>,
+    vector_width: VectorWidth,
+}
+
+/// A call of [`DeviceSelector::choose`].
+struct Choice<'s> {
+    selector: &'s mut DeviceSelector,
+    ages: &'s mut Ages,
+    prices: &'s [f64],
+}
+
+impl NullaryFnOnce for Choice<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { selector, ages, prices } = self;
+        selector.choose_greedily(ages, prices);
+        selector.replace_chosen(ages, prices);
+    }
 }
 
 impl DeviceSelector {
@@ -44,9 +79,12 @@ impl DeviceSelector {
             d_max,
             positions: positions.to_vec(),
             heap: BinaryHeap::new(),
+            first_review: ((area.surface() / (d_max * d_max) * REVIEWS_PER_AREA) as usize).max(1),
             gains_alone: vec![0.0; positions.len()],
             nets_alone: vec![0.0; positions.len()],
             chosen: Vec::new(),
+            rivals: Vec::new(),
+            vector_width: VectorWidth::fastest(),
         }
     }
 
@@ -60,33 +98,51 @@ impl DeviceSelector {
     /// within d_max, the one with the largest positive worth less price takes its slot. Otherwise the slot stays empty.
     pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {
         self.chosen.clear();
-        self.choose_greedily(ages, prices);
-        self.replace_chosen(ages, prices);
+        self.vector_width.run(Choice {
+            selector: self,
+            ages,
+            prices,
+        });
         self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
     }
 
     /// Chooses devices by the ratio of worth to price. A worth never grows as others are chosen, so a candidate whose
     /// worth is unchanged is the best, and few candidates are evaluated twice.
+    #[inline(always)]
     fn choose_greedily(&mut self, ages: &mut Ages, prices: &[f64]) {
         // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
         let mut keys = std::mem::take(&mut self.heap).into_vec();
         keys.clear();
         let alone = self.gains_alone.iter_mut().zip(&mut self.nets_alone);
         for (((gain_alone, net_alone), &price), j) in alone.zip(prices).zip(0..) {
-            *gain_alone = ages.gain(j as usize);
+            *gain_alone = ages.inlined_gain(j as usize);
             *net_alone = *gain_alone - price;
-            keys.extend(ratio_key(*gain_alone, price, j));
+            if let Some(key) = ratio_key(*gain_alone, price, j) {
+                keys.push(key);
+            }
         }
         self.heap = BinaryHeap::from(keys);
+        let mut next_review = self.first_review;
+        while self.choose_next(ages, prices) {
+            if self.chosen.len() == next_review {
+                next_review *= 2;
+                self.review_candidates(ages, prices);
+            }
+        }
+    }
+
+    /// Chooses the device with the highest ratio of worth to price. Returns whether its worth exceeds its price.
+    #[inline(always)]
+    fn choose_next(&mut self, ages: &mut Ages, prices: &[f64]) -> bool {
         while let Some(mut best) = self.heap.peek_mut() {
-            // The low half of a key is the inverted device number.
-            let j = u32::MAX - *best as u32;
-            match ratio_key(ages.gain(j as usize), prices[j as usize], j) {
+            let j = device_of_key(*best);
+            match ratio_key(ages.inlined_gain(j as usize), prices[j as usize], j) {
                 Some(key) if key == *best => {
                     PeekMut::pop(best);
-                    ages.add(j as usize);
+                    ages.inlined_add(j as usize);
                     self.nets_alone[j as usize] = f64::NEG_INFINITY;
                     self.chosen.push(Some(j));
+                    return true;
                 }
                 Some(key) => *best = key,
                 None => {
@@ -94,9 +150,29 @@ impl DeviceSelector {
                 }
             }
         }
+        false
+    }
+
+    /// Updates the keys of all candidates, and drops those whose worth no longer exceeds their price. That is faster
+    /// than to find each of them at the top of the heap. The choice stays the same, since every key is an upper bound.
+    #[inline(always)]
+    fn review_candidates(&mut self, ages: &Ages, prices: &[f64]) {
+        let mut keys = std::mem::take(&mut self.heap).into_vec();
+        // Not `retain_mut`, whose closure would not be inlined.
+        let mut kept_count = 0;
+        for index in 0..keys.len() {
+            let j = device_of_key(keys[index]);
+            if let Some(key) = ratio_key(ages.inlined_gain(j as usize), prices[j as usize], j) {
+                keys[kept_count] = key;
+                kept_count += 1;
+            }
+        }
+        keys.truncate(kept_count);
+        self.heap = BinaryHeap::from(keys);
     }
 
     /// Replaces each chosen device in turn by the best device around it.
+    #[inline(always)]
     fn replace_chosen(&mut self, ages: &mut Ages, prices: &[f64]) {
         let slot_count = self.chosen.len();
         let mut unchanged_slots = 0;
@@ -108,11 +184,11 @@ impl DeviceSelector {
             unchanged_slots += 1;
             let slot = turn % slot_count;
             let Some(j) = self.chosen[slot] else { continue };
-            ages.remove(j as usize);
+            ages.inlined_remove(j as usize);
             let best = self.best_around(ages, prices, j as usize);
             self.nets_alone[j as usize] = self.gains_alone[j as usize] - prices[j as usize];
             if let Some(best) = best {
-                ages.add(best as usize);
+                ages.inlined_add(best as usize);
                 self.nets_alone[best as usize] = f64::NEG_INFINITY;
             }
             if best != Some(j) {
@@ -125,20 +201,30 @@ impl DeviceSelector {
     /// Returns the device with the largest positive worth less price among device `j`, which was just removed, and the
     /// others within d_max. Ties go to j, then to the lowest number. `nets_alone[j]` is still negative infinity,
     /// so j is no candidate among them.
-    fn best_around(&self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
-        let net_of_j = ages.gain(j) - prices[j];
+    #[inline(always)]
+    fn best_around(&mut self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
+        let net_of_j = ages.inlined_gain(j) - prices[j];
         let (mut best_net, mut best) = if net_of_j > 0.0 {
             (net_of_j, Some(j as u32))
         } else {
             (0.0, None)
         };
         let initial_best = best;
-        let mut try_device = |i: u32| {
+        let rivals = if let Some(lists) = &self.neighbours {
+            lists.of(j)
+        } else {
+            let rivals = &mut self.rivals;
+            rivals.clear();
+            self.buckets
+                .within(self.positions[j], self.d_max, |i, _| rivals.push(i as u32));
+            rivals
+        };
+        for &i in rivals {
             // A device is never worth more than alone, so the bound spares most candidates an evaluation.
             if self.nets_alone[i as usize] < best_net {
-                return;
+                continue;
             }
-            let net = ages.gain(i as usize) - prices[i as usize];
+            let net = ages.inlined_gain(i as usize) - prices[i as usize];
             let is_better = match net.total_cmp(&best_net) {
                 Ordering::Greater => true,
                 Ordering::Equal => best != initial_best && best.is_some_and(|best| i < best),
@@ -147,12 +233,6 @@ impl DeviceSelector {
             if is_better {
                 (best_net, best) = (net, Some(i));
             }
-        };
-        match &self.neighbours {
-            Some(lists) => lists.of(j).iter().copied().for_each(try_device),
-            None => self
-                .buckets
-                .within(self.positions[j], self.d_max, |i, _| try_device(i as u32)),
         }
         best
     }
@@ -191,13 +271,19 @@ impl NeighbourLists {
 
 /// Returns a key from the ratio of worth to price, in single precision, and the inverted device number. The largest key
 /// has the highest ratio, and among equal ratios the lowest number. `None` if the worth does not exceed the price.
-#[inline]
+#[inline(always)]
 fn ratio_key(worth: f64, price: f64, j: u32) -> Option<u64> {
     (worth > price).then(|| {
         let ratio = (worth / price) as f32;
         // The bits of non-negative floating-point numbers have the order of the numbers.
         u64::from(ratio.to_bits()) << 32 | u64::from(u32::MAX - j)
     })
+}
+
+/// Returns the device number in a key of [`ratio_key`].
+#[inline(always)]
+const fn device_of_key(key: u64) -> u32 {
+    u32::MAX - key as u32
 }
 
 #[cfg(test)]

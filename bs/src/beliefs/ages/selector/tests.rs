@@ -173,3 +173,35 @@ fn choices_with_and_without_lists_of_neighbours_are_equal() {
         }
     }
 }
+
+/// Reviews, constants of rows and vector instructions change the time of a choice, never the choice.
+#[test]
+fn choices_with_and_without_reviews_are_equal() {
+    for kind in KINDS {
+        let (positions, mut ages) = positions_and_ages(kind, 90, 6);
+        let selector = DeviceSelector::new(&positions, AREA, D_MAX);
+        let mut stream = Stream::new(6, Purpose::Epicentre, 0);
+        for k in 0..40 {
+            let prices: Vec<f64> = (0..90).map(|_| 10.0 + 60.0 * stream.unit()).collect();
+            let choose = |first_review: usize, vector_width: VectorWidth| {
+                let mut selector = DeviceSelector {
+                    first_review,
+                    vector_width,
+                    ..selector.clone()
+                };
+                selector.choose(&mut ages.clone(), &prices)
+            };
+            let never = choose(usize::MAX, VectorWidth::fastest());
+            assert!(!never.is_empty() || k % 7 == 0, "{kind:?}, TTI {k}: no choice");
+            for vector_width in VectorWidth::supported() {
+                for first_review in [1, 2, 5] {
+                    assert_eq!(choose(first_review, vector_width), never, "{kind:?}, TTI {k}");
+                }
+            }
+            for device in never {
+                ages.add(device.index());
+            }
+            ages.advance(k % 7 == 6);
+        }
+    }
+}

@@ -15,6 +15,8 @@
 
 use std::sync::Arc;
 
+use pulp::NullaryFnOnce;
+
 use super::kernel::{ColumnSlice, KeyValueSum, add, dot, relu, rms_norm, softmax, weighted_mean};
 use super::weights::{AttentionLayer, FeedForward, ModelWeights};
 use super::{EXPANSION, OUTPUTS, PRICE_WIDTH};
@@ -61,6 +63,21 @@ pub struct ForwardPass {
     pooled: Vec<f32>,
 }
 
+/// A call of [`ForwardPass::step`]: a type, since a large closure is not inlined into [`VectorWidth::run`].
+struct Step<'a> {
+    pass: &'a mut ForwardPass,
+    tokens: &'a [f32],
+}
+
+impl NullaryFnOnce for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.pass.compute(self.tokens);
+    }
+}
+
 impl ForwardPass {
     /// Creates the state for `devices` devices, before the first TTI.
     pub fn new(weights: Arc<ModelWeights>, devices: usize) -> Self {
@@ -101,10 +118,7 @@ impl ForwardPass {
     /// without a token would keep their last state.
     pub fn step(&mut self, tokens: &[f32]) -> &[f32] {
         let vector_width = self.vector_width;
-        vector_width.run(
-            #[inline(always)]
-            || self.compute(tokens),
-        );
+        vector_width.run(Step { pass: self, tokens });
         self.ttis_processed += 1;
         &self.outputs
     }

@@ -133,11 +133,17 @@ impl SequentialSelector {
         let mut chosen = Vec::new();
         self.uncovered_blocks.clear();
         self.uncovered_blocks.extend(0..self.coverage.block_count());
+        let mut passed_bucket = u8::MAX;
         for min_bucket in PASS_MIN_BUCKETS {
             for j in 0..self.key_bounds.len() {
-                let may_choose = is_free(j) && self.battery_buckets[j] >= min_bucket && !self.coverage.contains(j);
-                self.key_bounds[j] = if may_choose { self.key(j, self.own_units[j]) } else { 0 };
+                let battery = self.battery_buckets[j];
+                // The bounds of the last pass remain valid.
+                if battery < passed_bucket {
+                    let may_choose = battery >= min_bucket && is_free(j) && !self.coverage.contains(j);
+                    self.key_bounds[j] = if may_choose { self.key(j, self.own_units[j]) } else { 0 };
+                }
             }
+            passed_bucket = min_bucket;
             self.cover_cells(&mut chosen);
         }
         chosen
@@ -151,7 +157,8 @@ impl SequentialSelector {
         let mut kept_count = 0;
         for index in 0..self.uncovered_blocks.len() {
             let block = self.uncovered_blocks[index];
-            if !self.coverage.has_uncovered(block) {
+            let mut uncovered = self.coverage.uncovered_in(block);
+            if uncovered == 0 {
                 continue;
             }
             self.uncovered_blocks[kept_count] = block;
@@ -163,14 +170,15 @@ impl SequentialSelector {
             if self.block_devices.is_empty() {
                 continue;
             }
-            for i in 0..self.coverage.cells_in(block).len() {
-                let cell = self.coverage.cells_in(block)[i];
-                while self.coverage.is_uncovered(cell)
+            for cell_index in self.coverage.cells_in(block) {
+                let cell = self.coverage.cell(cell_index);
+                while uncovered & cell.block_bit() > 0
                     && let Some(j) = self.choose_best(cell)
                 {
                     self.coverage.add(j as usize);
                     self.key_bounds[j as usize] = 0;
                     chosen.push(DeviceId(j));
+                    uncovered = self.coverage.uncovered_in(block);
                 }
             }
         }

@@ -8,7 +8,7 @@
 use super::area_state;
 use super::area_state::{AreaState, Gain};
 use super::learned::{
-    DutyTable, FIRST_ABLE_BUCKET, LearningRates, Lookback, QWeights, Schedule, VALUE_NODES, battery_bucket,
+    BucketLevels, DutyTable, FIRST_ABLE_BUCKET, LearningRates, Lookback, QWeights, Schedule, VALUE_NODES,
 };
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
@@ -42,6 +42,8 @@ pub struct DutyLearner {
     /// Contribution to N r(k) of a device that alone covers the whole area, until the area must be covered again.
     coverage_worth: f64,
     energies: Vec<EnergyModel>,
+    /// By device.
+    bucket_levels: Vec<BucketLevels>,
     battery_buckets: Vec<u8>,
     area_state: Box<dyn AreaState>,
     last_decision: Option<DutyDecision>,
@@ -96,6 +98,7 @@ impl DutyLearner {
             parameters,
             battery_buckets: vec![0; positions.len()],
             area_state: area_state::new(lookback, loss_probability, positions, area, sensing),
+            bucket_levels: energies.iter().map(BucketLevels::new).collect(),
             energies,
             last_decision: None,
         };
@@ -231,8 +234,8 @@ impl DutyLearner {
     }
 
     fn begin(&mut self, levels: &[Energy]) {
-        for ((bucket, &level), energy) in self.battery_buckets.iter_mut().zip(levels).zip(&self.energies) {
-            *bucket = battery_bucket(level, energy) as u8;
+        for ((bucket, &level), starts) in self.battery_buckets.iter_mut().zip(levels).zip(&self.bucket_levels) {
+            *bucket = starts.bucket(level);
         }
         self.area_state.begin_tti(&self.battery_buckets);
     }

@@ -13,12 +13,12 @@ mod tables;
 
 pub use file::{FORMAT, LearnedError, VERSION};
 pub use lookback::{Lookback, MAX_WINDOW};
-pub(crate) use tables::area_bucket;
 pub use tables::{
     AREA_BUCKETS, BATTERY_BUCKETS, DutyTable, FIRST_ABLE_BUCKET, INFORMATION_BUCKETS, LearningRates, QValue,
     REPORT_BUCKETS, SCORE_BUCKETS, Schedule, VALUE_NODES, WakeTable, battery_bucket, information_bucket, score_bucket,
     score_edge,
 };
+pub(crate) use tables::{BucketLevels, area_bucket};
 
 use std::fmt::Display;
 

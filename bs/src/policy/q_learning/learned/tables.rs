@@ -314,6 +314,32 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     }
 }
 
+/// Least battery levels of the buckets of [`battery_bucket`] after the first, for devices of one energy model. They
+/// spare a division per device and TTI.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BucketLevels([Energy; BATTERY_BUCKETS - 1]);
+
+impl BucketLevels {
+    /// Creates the levels of devices with this `energy`.
+    pub(crate) fn new(energy: &EnergyModel) -> Self {
+        let needed = energy.e_idle + energy.e_tx;
+        let span = energy.e_max.saturating_sub(needed).micro().max(1);
+        let parts = BATTERY_BUCKETS as u64 - u64::from(FIRST_ABLE_BUCKET);
+        // The least whole number of micro-units above `needed` that belongs to a part.
+        let start_of_part = |part: u64| (u128::from(part) * u128::from(span)).div_ceil(u128::from(parts)) as u64;
+        Self(std::array::from_fn(|index| match index {
+            0 => energy.e_idle,
+            1 => needed,
+            _ => needed + Energy::from_micro(start_of_part(index as u64 + 1 - u64::from(FIRST_ABLE_BUCKET))),
+        }))
+    }
+
+    /// Returns [`battery_bucket`] of `level`.
+    pub(crate) fn bucket(&self, level: Energy) -> u8 {
+        self.0.iter().map(|&start| u8::from(level >= start)).sum()
+    }
+}
+
 /// Returns the bucket of a newly covered area, a share of the sensing disc, `0 .. AREA_BUCKETS`; 0 is negligible.
 pub(crate) fn area_bucket(share: f64) -> usize {
     (0..AREA_BUCKETS - 1)
@@ -402,6 +428,25 @@ mod tests {
             [19, 19, 18, 18, 17, 15, 0, 0]
         );
         assert_eq!([0.0, 0.03, 0.39, 0.76, 1.0].map(information_bucket), [0, 1, 4, 7, 7]);
+    }
+
+    #[test]
+    fn bucket_levels_give_the_buckets_of_all_levels() {
+        let micro = Energy::from_micro;
+        for (e_idle, e_tx, e_max) in [(3, 10, 60), (0, 0, 1), (5, 7, 12), (2, 9, 4), (1, 1, 1000)] {
+            let energy = EnergyModel {
+                e_max: micro(e_max),
+                e_idle: micro(e_idle),
+                e_wur: micro(0),
+                e_tx: micro(e_tx),
+                initial: micro(0),
+            };
+            let levels = BucketLevels::new(&energy);
+            for level in (0..2 * e_max + 20).map(micro) {
+                let bucket = usize::from(levels.bucket(level));
+                assert_eq!(bucket, battery_bucket(level, &energy), "{level:?} of {energy:?}");
+            }
+        }
     }
 
     #[test]
