@@ -2,11 +2,6 @@
 //! digests of runs depend on the results. Code must be inlined into [`VectorWidth::run`] to be compiled for the
 //! instructions, so the modules that use it mark their functions for inlining.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::{V3, V4};
 use pulp::{NullaryFnOnce, Scalar, Simd as _};

@@ -23,7 +23,7 @@ pub(crate) struct SavedAddress {
     listen: Option<String>,
     /// Whether the port was any free one.
     has_free_port: bool,
-    /// The identity of the run; other versions do not write it.
+    /// The identity of the run; `None` in files of earlier versions.
     id: Option<u64>,
 }
 

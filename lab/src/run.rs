@@ -341,10 +341,6 @@ impl Devices {
 
     /// Collects the answers of the devices to a grant. Only `detectors` can have a report, in its last TTI; all others
     /// may lag behind, unless the grant wants views.
-    #[expect(
-        clippy::inline_always,
-        reason = "the one call is in every grant; `#[inline]` alone leaves it a call"
-    )]
     #[inline(always)]
     fn gather(&mut self, grant: &GrantMessage, detectors: &[DeviceId]) -> GrantAnswers<'_> {
         self.reports.clear();

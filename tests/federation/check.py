@@ -184,7 +184,7 @@ def check_cut_tls(reveille):
         workspace.wait("the end of the run", lambda: station.poll() is not None)
         timing = (subprocesses.read_summary(out) or {}).get("timing")
         lost_hosts = station.err().count("; the run continues without its devices")
-        if station.poll() != 0 or lost_hosts != 1 or timing["max_late_ms"] > 4500:
+        if station.poll() != 0 or lost_hosts != 1 or timing is None or timing["max_late_ms"] > 4500:
             raise subprocesses.Failure(f"{lost_hosts} hosts lost, {timing}: {station.err()}")
     finally:
         workspace.close()

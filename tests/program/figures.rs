@@ -368,6 +368,26 @@ fn a_user_sweep_is_drawn_against_its_field() {
 }
 
 #[test]
+fn a_swept_text_has_a_line_for_each_value() {
+    let folder = TestFolder::new();
+    run_sweep(&folder, "mine", "--grid events.duration_kind=fixed,geometric");
+    let finished = folder.run("figures mine --out a");
+    assert_eq!(finished.code(), Some(0), "{finished}");
+    let names = folder.list("a");
+    // SVG, PNG and CSV of information and energy for each of four policies.
+    assert_eq!(
+        names.iter().filter(|name| name.starts_with("sweep-")).count(),
+        24,
+        "{names:?}"
+    );
+    assert!(!names.iter().any(|name| name.starts_with("information")), "{names:?}");
+    let csv = String::from_utf8(folder.bytes("a/sweep-info_p1-devices-policy-knn.csv")).expect("text");
+    for value in ["fixed", "geometric"] {
+        assert!(csv.contains(value), "{csv}");
+    }
+}
+
+#[test]
 fn a_picture_replaces_an_earlier_one() {
     let folder = TestFolder::new();
     let command = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
@@ -401,7 +421,7 @@ fn tables_with_equal_file_names_give_separate_pictures() {
 }
 
 #[test]
-fn a_report_without_runs_for_any_claim_says_so() {
+fn a_report_without_runs_for_any_claim_prints_a_note() {
     let folder = TestFolder::new();
     for policies in ["age-index", "random,age-index"] {
         let finished = folder.run(&format!(

@@ -170,10 +170,6 @@ pub(crate) fn exp_negative(x: f64) -> f64 {
 
 /// Returns [`exp_negative`] of four numbers, bit by bit.
 #[cfg(target_arch = "x86_64")]
-#[expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
 #[inline(always)]
 pub(crate) fn exp_negative_v3(v3: V3, x: f64x4) -> f64x4 {
     let splat = |value: f64| v3.splat_f64x4(value);

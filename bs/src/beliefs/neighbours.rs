@@ -58,9 +58,8 @@ impl Neighbours {
     /// Returns the devices in band `band`, below `band_count`, of `device`, which was prepared. The first band includes
     /// the device itself.
     pub(crate) fn band(&self, device: DeviceId, band: usize) -> &[DeviceId] {
-        let Some(list) = &self.lists[device.index()] else {
-            return &[];
-        };
+        let list = self.lists[device.index()].as_ref();
+        let list = list.expect("`prepare` was called for the device");
         &list.devices[list.starts[band] as usize..list.starts[band + 1] as usize]
     }
 }

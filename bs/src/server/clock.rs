@@ -69,10 +69,10 @@ impl VirtualClock {
     }
 }
 
-/// Longest delay that the TTIs after it catch up, in TTIs of the pace. A longer one is the end of an outage, such as
-/// the wait for a lost host, or the sign of a pace that is too fast.
+/// Longest delay that later TTIs catch up, in TTIs of the pace. After a longer one, such as the wait for a lost host,
+/// the schedule starts again.
 const MAX_CAUGHT_UP_TTIS: u32 = 5;
-/// Shortest delay that counts as longer than `MAX_CAUGHT_UP_TTIS`: a busy machine delays a process by about as much.
+/// Delays up to this length are always caught up: a busy machine can delay a process by about as much.
 const MIN_OUTAGE: Duration = Duration::from_millis(250);
 
 /// Due times of TTIs under a real-time pace.

@@ -436,7 +436,7 @@ impl RunLoop<'_> {
             tracing::warn!(
                 tti = %first,
                 "a TTI takes {mean:.1} ms, with the network and the devices, but the pace is one every {pace}: TTIs \
-                 begin later and later; use a slower --pace, or `reveille clock pace`"
+                 begin late; use a slower --pace, or `reveille clock pace`"
             );
         }
         self.sleep_until(due).await

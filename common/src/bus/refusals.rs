@@ -3,7 +3,7 @@
 //! the refusals and logs them as warnings, without the secrets in keys.
 //!
 //! After a restart of the base station, its hosts reconnect with the secret of the former one, until they join again.
-//! Each host then causes several refusals. The log has the first one of each peer, and later their number.
+//! Each host then causes several refusals. The log shows the first refusal of each peer, then the number of all.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -33,8 +33,10 @@ const PERMISSIONS_FOLLOW: &str = "ACL (ingress): caching permissions";
 const LAST_PERMISSION: &str = " Declare Liveliness Subscriber (ingress) on ";
 /// Refusals that can wait for the thread of the log.
 const MAX_QUEUED_TEXTS: usize = 1_024;
-/// Different refusals that are logged; later ones are not.
+/// Most different refusals that are logged, and most peers whose first refusal is logged; later ones are not.
 const MAX_TEXTS: usize = 1_000;
+/// The number of refusals of a peer from which powers of two are logged. A host has fewer at a rejoin.
+const MANY_REFUSALS: u64 = 256;
 /// Time without a refusal after which the number of refusals of each host is logged.
 const QUIET_TIME: Duration = Duration::from_secs(5);
 /// zenoh's name for the declaration of a liveliness token.
@@ -151,18 +153,27 @@ struct RefusalCounts {
     is_full: bool,
     /// The number of refusals of each [`Refusal::host_peer`] since the last quiet time.
     hosts: BTreeMap<String, u64>,
+    /// The number of first refusals that were logged for them.
+    logged_hosts: usize,
 }
 
 impl RefusalCounts {
     /// Counts a refusal and returns the line to log for it, if any.
     fn add(&mut self, Refusal { text, host_peer }: Refusal) -> Option<String> {
         if let Some(peer) = host_peer
-            && (self.hosts.len() < MAX_TEXTS || self.hosts.contains_key(&peer))
+            && (self.logged_hosts < MAX_TEXTS || self.hosts.contains_key(&peer))
         {
             let count = self.hosts.entry(peer).or_default();
             *count += 1;
-            let note = "the peer lacks the role or the secret of the run; hosts of an earlier base station join again";
-            return (*count == 1).then(|| format!("{text}: {note}"));
+            if *count == 1 {
+                self.logged_hosts += 1;
+                let note =
+                    "the peer lacks the role or the secret of the run; hosts of an earlier base station join again";
+                return Some(format!("{text}: {note}"));
+            }
+            // A stranger never stops.
+            return (*count >= MANY_REFUSALS && count.is_power_of_two())
+                .then(|| format!("{text} (refusal {count} of this peer)"));
         }
         if self.texts.len() >= MAX_TEXTS && !self.texts.contains_key(&text) {
             let is_first = !std::mem::replace(&mut self.is_full, true);
@@ -281,6 +292,7 @@ mod tests {
             None
         );
     }
+
     #[test]
     fn refusals_of_a_former_host_are_one_line_and_their_number() {
         let secret = "ab".repeat(16);
@@ -311,6 +323,9 @@ mod tests {
             let last = counts.take_host_lines();
             assert_eq!(last, ["refused by the access rules: 6 messages in all, from peer 7f"]);
         }
+        let tries = (0..1000).filter_map(|_| refuse(&mut counts, "device", "Query", "emu/ready"));
+        assert_eq!(tries.count(), 3, "the first, 256 and 512");
+        counts.take_host_lines();
         // Hosts never send these, and an observer has none of the rights above.
         for (role, action, key) in [
             ("device", "Put", "emu/clock"),

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn zenoh_is_compiled_with_a_short_limit_for_cut_links() {
+    fn cargo_sets_the_short_limit_for_cut_links() {
         let limits = [option_env!("TCP_LINGER_TIMEOUT"), option_env!("TLS_LINGER_TIMEOUT")];
         assert_eq!(
             limits,

@@ -155,7 +155,7 @@ fn draw_swept_field(
     Ok(())
 }
 
-/// Returns the swept fields with several values that are not all numbers: those beside `numeric_fields`.
+/// Returns the swept fields with several values, except `numeric_fields`.
 fn swept_texts<'r>(results: &'r Results, numeric_fields: &[SweptNumbers]) -> BTreeSet<&'r str> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for (path, value) in results.conditions.iter().flat_map(|condition| &condition.swept_fields) {

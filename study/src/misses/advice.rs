@@ -8,7 +8,7 @@
 use std::fmt::{self, Write as _};
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::digits::format_significant;
+use reveille_common::digits::{count_noun, format_significant};
 use reveille_common::energy_balance::{ClassBalance, EnergyBalance};
 use reveille_common::geometry::Point;
 use reveille_common::harvest::{Arrivals, Harvest};
@@ -33,7 +33,7 @@ pub struct RunEnergy {
 const LOW_ENERGY_PCT: f64 = 5.0;
 /// Share of the harvest that does not fit into batteries from which the advice mentions it, %.
 const OVERFLOW_PCT: f64 = 5.0;
-/// Number of reports that a full battery pays for below which the battery counts as small.
+/// A battery that pays for fewer reports than this counts as small.
 const SMALL_BATTERY_REPORTS: u64 = 4;
 
 /// Advice about the main cause of missed events.
@@ -251,9 +251,8 @@ impl<'s> WeakestClass<'s> {
             number(self.balance.sensing_cost)
         );
         if self.has_small_battery() {
-            let reports = self.reports_per_battery();
-            let noun = if reports == 1 { "report" } else { "reports" };
-            text += &format!(" A full battery pays for {reports} {noun}.");
+            let reports = count_noun(self.reports_per_battery(), "report");
+            text += &format!(" A full battery pays for {reports}.");
         }
         let lost_pct = energy.map_or(0.0, |energy| {
             100.0 * energy.overflow_per_device_tti / self.balance.harvest.mean

@@ -5,11 +5,6 @@
 //! Gains depend on the cells, therefore digests and learned tables do too. docs/age-index.md states the cells;
 //! `tests/src/reference/age_index.rs` and a test of `q-learning` compute them too.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use reveille_common::geometry::{Area, Point};
 
 use crate::beliefs::grid::{self, Raster};
@@ -22,11 +17,11 @@ const CELLS_PER_RANGE: f64 = 7.5;
 /// Maximum number of rows, and of columns, of cells within d_max of a device.
 pub(super) const DISC_SIDE: usize = 16;
 
-/// Offset between rows of areas that are narrow enough. A constant spares the tests of each row.
+/// Offset between rows of areas that are narrow enough. With a constant, the compiler omits bounds checks.
 pub(super) const NARROW_STRIDE: usize = 64;
 
-/// The area in cells of at most d_max/7.5, row by row. At least [`DISC_SIDE`] unused cells follow each row, and as many
-/// unused rows follow the last. So a square of this side can be read from any cell on.
+/// The area in cells of at most d_max/7.5, row by row. At least [`DISC_SIDE`] unused cells follow each row, and
+/// [`DISC_SIDE`] unused rows follow the last. So a square of this side can be read from any cell on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     raster: Raster,

@@ -2,11 +2,6 @@
 //! numbers, so sums do not depend on their order. [`Ages`](super::Ages) documents the methods and their preconditions.
 //! `CertainStaleness` keeps the same ages in less memory and must give the same gains, as its test checks.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use std::array;
 
 use reveille_common::geometry::Point;

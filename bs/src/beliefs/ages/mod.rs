@@ -14,11 +14,6 @@
 //! reports. Digests depend on every bit of a gain. docs/age-index.md states the rule, and
 //! `tests/src/reference/age_index.rs` computes gains a second time.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 mod cells;
 mod certain;
 mod check;

@@ -2,11 +2,6 @@
 //! [`Coverage`](super::Coverage); `BitDisc` also serves [`CoverageUnion`](super::CoverageUnion). Digests, rewards and
 //! learned tables depend on which cells a device covers.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use reveille_common::geometry::Point;
 
 use super::blocks::{BLOCK_SIDE, Block};

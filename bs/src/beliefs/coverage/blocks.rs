@@ -2,11 +2,6 @@
 //! (`policy/q_learning/area_state/selector.rs`) walks through blocks, cells and devices in this order, so
 //! digests depend on it.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;

@@ -5,11 +5,6 @@
 //! memory. Both give bit-equal results. `tests/src/reference/q_learning.rs` and a test of the training repeat the cell
 //! sizes.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 mod bits;
 mod blocks;
 mod shares;

@@ -1,11 +1,6 @@
 //! Expected gains of candidates: sums over the points of a belief. Which device is woken, and so digests, depend on
 //! every bit of a sum, so its terms are added in the order of the points for all vector instructions.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 #[cfg(target_arch = "x86_64")]
 use pulp::{f64x4, x86::V3};
 use reveille_common::geometry::Point;

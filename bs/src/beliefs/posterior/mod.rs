@@ -6,11 +6,6 @@
 //! A report puts the epicentre on a ring around the reporter, held as points. A second report leaves the two points
 //! where the rings meet, a third leaves one of them. A silent device in S1 makes the points in its range unlikely.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 mod gains;
 mod points;
 mod prior;

@@ -1,11 +1,6 @@
 //! Candidate epicentres of [`EpicentreBelief`](super::EpicentreBelief) with their likelihoods. Frames and digests
 //! depend on their order and on every bit of their weights.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use std::f64::consts::TAU;
 
 use reveille_common::geometry::{Area, Point};

@@ -1,11 +1,6 @@
 //! Priors over the place of an event, from which the belief over its epicentre starts. Digests depend on every bit of a
 //! density.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use reveille_common::geometry::Point;
 
 /// A prior over the place of the epicentre, before any report. A function of the place is one.

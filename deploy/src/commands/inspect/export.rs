@@ -28,15 +28,19 @@ use crate::paths::is_same_path;
 /// Writes the requested file.
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
+    let file = args
+        .file
+        .as_ref()
+        .map(|path| Ok::<_, anyhow::Error>((path, chosen_format(args)?)))
+        .transpose()?;
     if let Some(path) = &args.dissector {
         check_may_write(path, args.force)?;
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
         print_stdout(&format!("{}\n", path.display()))?;
     }
-    let Some(given_path) = &args.file else {
+    let Some((given_path, format)) = file else {
         return Ok(ExitReason::Done.into());
     };
-    let format = chosen_format(args)?;
     let recording_path = &find_recording(given_path)?;
     let out_path = args
         .out

@@ -28,8 +28,10 @@ function paintMark(draw, mark, x, y, ratio) {
   else {
     const text = mark.textContent.trim(), box = 11 * ratio;
     draw.fillStyle = text ? style.color : style.backgroundColor;
+    // A state without power has a lower box.
+    const height = Math.min(mark.offsetHeight * ratio, box) || box;
     if (text) draw.fillText(text, x + 4 * ratio, y);
-    else draw.fillRect(x + 4 * ratio, y - box / 2, box, box);
+    else draw.fillRect(x + 4 * ratio, y + box / 2 - height, box, height);
   }
   draw.globalAlpha = 1;
 }
@@ -37,7 +39,7 @@ function paintMark(draw, mark, x, y, ratio) {
 // The places of the entries of a legend in lines of at most `width` pixels, and the number of lines.
 function placeEntries(legend, draw, width, ratio) {
   let x = 0, line = 0;
-  const entries = [...legend?.children ?? []].filter((entry) => entry.textContent.trim()).map((entry) => {
+  const entries = [...legend?.children ?? []].filter((entry) => entry.textContent.trim() && !entry.matches(".hint")).map((entry) => {
     const text = entry.textContent.trim(), needed = draw.measureText(text).width + 44 * ratio;
     if (x > 0 && x + needed > width) [x, line] = [0, line + 1];
     x += needed;

@@ -8,7 +8,7 @@ const clusterColour = (cluster) => `hsl(${(cluster * 137.5) % 360} 55% 50%)`;
 // Colours that differ in lightness too (Okabe and Ito); further classes repeat them.
 const CLASS_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 export const classColour = (nth) => CLASS_COLOURS[nth % CLASS_COLOURS.length];
-// Opacity of both.
+// Opacity of the tints of clusters and classes.
 export const TINT = 0.3;
 
 export class MapGround {

@@ -8,7 +8,7 @@ import { DeviceMap } from "./map.js";
 import { drawSymbol, symbolsOf } from "./map_symbols.js";
 import { byId, element, page, setText } from "./page_state.js";
 import { STATES } from "./states.js";
-import { batteryGradient, batteryShare, hiddenCanvas, ink } from "./theme.js";
+import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
 const HEATS = { misses: "missed events nearest to each device", looks: "TTIs in which each device has sensed", battery: "battery in the shown TTI" };
@@ -53,7 +53,8 @@ export class MapPanel {
   // Gets the sums of a heat layer, if one is shown.
   async refreshHeat() {
     if (this.layer !== "misses" && this.layer !== "looks") return;
-    this.heat = { ...await get("api/heat"), version: page.now.next };
+    const version = page.now.next;
+    this.heat = { ...await get("api/heat"), version };
   }
 
   paint() {
@@ -82,10 +83,8 @@ export class MapPanel {
       made.style.color = ink(colour);
       return made;
     };
-    const gradient = element("i", { className: "gradient" });
-    gradient.style.background = batteryGradient();
     const entries = [
-      element("span", {}, "battery empty ", gradient, " full"),
+      entry(batteryPicture(), "battery, empty to full"),
       ...Object.entries(STATES).map(([state, { name }]) => entry(symbolPicture(state), name)),
       entry(mark("✶", "--event"), "event, with d_max around it"),
     ];
@@ -102,8 +101,8 @@ export class MapPanel {
     if (HEATS[this.layer]) {
       const most = this.heat?.[this.layer]?.reduce((a, b) => Math.max(a, b), 0);
       // The program has the sums of this run up to its latest TTI only.
-      const span = this.heat && `${page.other ? " of this run" : ""}, TTI 0 to ${this.heat.version - 1}`;
-      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${span ?? ""}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
+      const span = this.heat?.version && `${page.other ? " of this run" : ""}, TTI 0 to ${this.heat.version - 1}`;
+      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${span || ""}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
       if (this.layer === "battery") entries.pop();
     }
     byId("legend").replaceChildren(...entries);
@@ -119,6 +118,17 @@ export class MapPanel {
       ]),
     ];
   }
+}
+
+function batteryPicture() {
+  const { canvas, draw } = hiddenCanvas(20, 16);
+  for (let x = 0; x < 20; x++) {
+    draw.fillStyle = batteryColour(x / 19);
+    draw.fillRect(x, 3, 1, 10);
+  }
+  canvas.className = "symbol";
+  canvas.setAttribute("aria-hidden", "true");
+  return canvas;
 }
 
 function symbolPicture(symbol) {

@@ -30,8 +30,6 @@ export function batteryColour(share) {
   return `rgb(${SCALE[low].map((from, i) => Math.round(from + (SCALE[low + 1][i] - from) * part)).join(",")})`;
 }
 
-export const batteryGradient = () => `linear-gradient(to right, ${[0, 0.25, 0.5, 0.75, 1].map(batteryColour).join(", ")})`;
-
 // The battery of a device in a moment, from 0 to 1 of its E_max.
 export const batteryShare = (moment, device) => parseInt(moment.batteries.slice(2 * device, 2 * device + 2), 16) / 255;
 

@@ -2,11 +2,6 @@
 //! with ages plan by it. Ties and the order of evaluations are part of the result, and so of digests. docs/age-index.md
 //! states the rule; `tests/src/reference/age_index.rs` repeats it, with `IMPROVEMENT_ROUNDS`.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::collections::binary_heap::PeekMut;

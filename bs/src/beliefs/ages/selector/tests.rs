@@ -174,7 +174,7 @@ fn choices_with_and_without_lists_of_neighbours_are_equal() {
     }
 }
 
-/// Reviews, constants of rows and vector instructions change the time of a choice, never the choice.
+/// Reviews, and the instructions of the selector, change the time of a choice, never the choice.
 #[test]
 fn choices_with_and_without_reviews_are_equal() {
     for kind in KINDS {

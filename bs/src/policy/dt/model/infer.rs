@@ -8,11 +8,6 @@
 //! There the weight of a pair is the dot product of positive features of a key and a query, without an exponential
 //! (linear attention). The time thus grows with N and not with N². A TTI needs no allocation.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use std::sync::Arc;
 
 use pulp::NullaryFnOnce;

@@ -9,11 +9,6 @@
 //! Loops over `as_chunks` take four columns at a time and silently skip a remainder. Rows must therefore have a
 //! multiple of four columns, as [`super::ModelShape::is_valid`] requires of a head.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 /// Number of output columns that are computed side by side.
 const TILE_COLUMNS: usize = 16;
 /// Number of output rows that share a load of the weights.

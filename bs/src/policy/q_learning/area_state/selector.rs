@@ -2,11 +2,6 @@
 //! comparisons are of whole numbers, so the choice is the same on every machine; digests depend on it.
 //! `tests/src/reference/q_learning.rs` repeats it for comparison.
 
-#![expect(
-    clippy::inline_always,
-    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
-)]
-
 use pulp::NullaryFnOnce;
 use reveille_common::ids::DeviceId;
 
