@@ -381,7 +381,7 @@ fn a_swept_text_has_a_line_for_each_value() {
         "{names:?}"
     );
     assert!(!names.iter().any(|name| name.starts_with("information")), "{names:?}");
-    let csv = String::from_utf8(folder.bytes("a/sweep-info_p1-devices-policy-knn.csv")).expect("text");
+    let csv = String::from_utf8(folder.bytes("a/sweep-info_p1-devices-by-events.duration_kind-policy-knn.csv")).expect("text");
     for value in ["fixed", "geometric"] {
         assert!(csv.contains(value), "{csv}");
     }
