@@ -339,7 +339,7 @@ fn a_user_sweep_is_drawn_against_its_field() {
     assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("f");
     assert!(
-        names.len() == 6 && names.contains(&"information-paper.svg".to_owned()),
+        names.len() == 6 && names.contains(&"information-paper-harvest.lambda-0.1.svg".to_owned()),
         "{names:?}"
     );
     let refused = |args: &str, parts: &[&str]| {
@@ -381,7 +381,8 @@ fn a_swept_text_has_a_line_for_each_value() {
         "{names:?}"
     );
     assert!(!names.iter().any(|name| name.starts_with("information")), "{names:?}");
-    let csv = String::from_utf8(folder.bytes("a/sweep-info_p1-devices-by-events.duration_kind-policy-knn.csv")).expect("text");
+    let csv = String::from_utf8(folder.bytes("a/sweep-info_p1-devices-by-events.duration_kind-policy-knn.csv"))
+        .expect("text");
     for value in ["fixed", "geometric"] {
         assert!(csv.contains(value), "{csv}");
     }

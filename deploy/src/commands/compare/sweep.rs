@@ -66,12 +66,6 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     conditions.retain(|(_, rows)| args.json || !rows.is_empty());
     let separate_results = tables::read_separately(&tables)?;
     let table_differences = tables::compare(&separate_results, &metrics);
-    for name in tables::without_counterpart(&separate_results, &metrics) {
-        note!(
-            "{name}: not compared with {}, as no policy has runs in both with the same N, seeds and swept fields",
-            separate_results[0].tables[0].name
-        );
-    }
     if conditions.iter().all(|(_, rows)| rows.is_empty()) && table_differences.is_empty() {
         let pairs = if tables.len() > 1 {
             "no two policies and no two settings of a policy have"
@@ -83,6 +77,12 @@ pub(super) fn compare(args: &CompareArgs) -> anyhow::Result<ExitCode> {
             "{}: nothing to compare: {pairs} runs with the same N and seeds; give one sweep several policies, such as \
              `reveille sweep --policies {reference},{other}`, or repeat it with the same N, seeds and --ttis",
             results.tables[0].name
+        );
+    }
+    for name in tables::without_counterpart(&separate_results, &metrics) {
+        note!(
+            "{name}: not compared with {}, as no policy has runs in both with the same N, seeds and swept fields",
+            separate_results[0].tables[0].name
         );
     }
     print_stdout(&if args.json {

@@ -92,12 +92,16 @@ pub(super) fn without_counterpart<'r>(tables: &'r [Results], metrics: &[&str]) -
     };
     let is_compared = |table: &&Results| {
         table.conditions.iter().any(|condition| {
+            // Policies of tables with the same settings are compared with each other.
+            let has_same_settings =
+                |other: &RunCondition| (other.label(), other.ttis) == (condition.label(), condition.ttis);
             let reference = counterpart(condition, &table.conditions, &first.conditions);
-            reference.is_some_and(|reference| {
+            let has_rows = |reference: &RunCondition| {
                 metrics
                     .iter()
                     .any(|metric| !compare_policies(condition, reference, metric).is_empty())
-            })
+            };
+            first.conditions.iter().any(has_same_settings) || reference.is_some_and(has_rows)
         })
     };
     let others = others.iter().filter(|table| !is_compared(table));

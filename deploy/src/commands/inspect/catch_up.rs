@@ -415,9 +415,6 @@ mod tests {
                 observer.catch_up.restart();
                 for back_at in [gap.saturating_sub(30), gap + 40] {
                     observer.join(sent, back_at..back_at + 1, false);
-                    // Also while frames of the first gap are skipped.
-                    observer.catch_up.note_gap();
-                    observer.receive(sent, back_at + 4..back_at + 6);
                     observer.catch_up.restart();
                 }
                 observer.join(sent, count - 10..count, false);

@@ -15,7 +15,7 @@ pub(super) struct PassedFrames {
     states_end: Tti,
     /// The TTI before which all world frames were passed on.
     world_end: Tti,
-    /// Whether frames were lost since the last restart, so that `passed` is too low.
+    /// Whether `passed` is too low, because frames were lost.
     has_gap: bool,
     /// The last TTI of the frames that count in `passed`.
     last_tti: Tti,
@@ -30,8 +30,6 @@ impl PassedFrames {
         if self.has_gap && self.passed > 0 {
             self.skipped_until = Some(self.last_tti);
         }
-        // The frames after a restart are complete again.
-        self.has_gap = false;
     }
 
     /// Notes that frames were lost. After the next restart no more frames are passed on for the TTIs of earlier ones.
@@ -55,7 +53,7 @@ impl PassedFrames {
         }
         if self.skipped_until.is_some_and(|last| frame.tti > last) {
             // From here on the count is the position in the run again.
-            (self.skipped_until, self.passed) = (None, self.seen);
+            (self.skipped_until, self.has_gap, self.passed) = (None, false, self.seen);
         }
         self.seen += 1;
         if self.skipped_until.is_some() || self.seen <= self.passed {
