@@ -345,7 +345,7 @@ impl EpicentreBelief {
         }
     }
 
-    /// Replaces the points by those of the ring around `centre`.
+    /// Takes the points on the ring around `centre`.
     fn set_ring(&mut self, centre: Point, d: f64) {
         self.gain_sums.vector_width().run(NewRing {
             points: &mut self.points,
