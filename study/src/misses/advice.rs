@@ -244,27 +244,29 @@ impl<'s> WeakestClass<'s> {
         } else {
             String::new()
         };
-        let mut text = format!(
+        let mut sentences = vec![format!(
             "A device{class} harvests {} units per TTI; sleeping costs {}, sensing {}.",
             number(self.balance.harvest.mean),
             number(self.balance.sleeping_cost),
             number(self.balance.sensing_cost)
-        );
+        )];
         if self.has_small_battery() {
             let reports = count_noun(self.reports_per_battery(), "report");
-            text += &format!(" A full battery pays for {reports}.");
+            sentences.push(format!("A full battery pays for {reports}."));
         }
         let lost_pct = energy.map_or(0.0, |energy| {
             100.0 * energy.overflow_per_device_tti / self.balance.harvest.mean
         });
         if !self.is_one_of_several && lost_pct >= OVERFLOW_PCT {
-            text += &format!(" Of the harvest, {lost_pct:.0} % did not fit into full batteries.");
+            sentences.push(format!(
+                "Of the harvest, {lost_pct:.0} % did not fit into full batteries."
+            ));
         }
-        if self.can_sleep() {
-            text
-        } else {
-            text + " The harvest does not pay for sleeping, so batteries run down under every policy."
+        if !self.can_sleep() {
+            let sentence = "The harvest does not pay for sleeping, so batteries run down under every policy.";
+            sentences.push(sentence.to_owned());
         }
+        sentences.join(" ")
     }
 
     /// The path of an energy or harvest field of this class.
