@@ -127,15 +127,18 @@ fn two_sweeps_are_compared_over_their_common_seeds() {
         1,
         &["nothing to compare", "--policies knn,random"],
     );
-    let finished = folder.run("sweep --policies knn,random --seeds 2 --devices 20 --ttis 600 --quiet --out both");
-    assert!(finished.is_success(), "{finished}");
-    let finished = folder.run("compare both a c");
+    for (policies, ttis, out) in [("knn,random", 600, "both"), ("genie", 700, "other")] {
+        let sweep = format!("sweep --policies {policies} --seeds 2 --devices 20 --ttis {ttis} --quiet --out {out}");
+        let finished = folder.run(&sweep);
+        assert!(finished.is_success(), "{finished}");
+    }
+    let finished = folder.run("compare both a other");
     let note = |name: &str| {
         finished
             .stderr
             .contains(&format!("{name}/results.parquet: not compared with both"))
     };
-    assert!(finished.is_success() && note("c") && !note("a"), "{finished}");
+    assert!(finished.is_success() && note("other") && !note("a"), "{finished}");
 }
 
 #[test]

@@ -68,7 +68,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         |condition: &RunCondition| condition.is_unchanged_preset() && condition.all_device_counts().len() > 1;
     let with_labels = results.conditions.iter().zip(results.file_labels());
     for (condition, label) in with_labels {
-        if is_swept(condition) && !(has_own_figures(condition) && !args.only.is_empty()) {
+        if is_swept(condition) && (args.only.is_empty() || !has_own_figures(condition)) {
             if has_own_figures(condition) {
                 note!(
                     "{}: the figures of the paper are not drawn, as fields vary in the sweep; choose some with --only",
