@@ -316,8 +316,8 @@ fn a_user_sweep_is_drawn_against_its_field() {
         names.len() == 4 && names.contains(&battery) && names.contains(&information),
         "{names:?}"
     );
-    // Without `sweep`, the field has figures of two metrics, for each N. The paper's figures of the preset's own value are
-    // drawn only with --only.
+    // Without `sweep`, the field has figures of two metrics, for each N. The paper's figures of the preset's own value
+    // are drawn only with --only.
     let finished = folder.run("figures mine --format svg --out d");
     assert_eq!(finished.code(), Some(0), "{finished}");
     let names = folder.list("d");

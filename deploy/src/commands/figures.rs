@@ -125,9 +125,9 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Draws the metrics of the `chosen_figures`, by default information and energy, with these axes: the field along x, the
-/// field with a line for each value, and whether x is logarithmic. There is a picture for each combination of the other
-/// settings.
+/// Draws the metrics of the `chosen_figures`, by default information and energy, with these axes: the field along x,
+/// the field with a line for each value, and whether x is logarithmic. There is a picture for each combination of the
+/// other settings.
 fn draw_swept_field(
     args: &FiguresArgs,
     results: &Results,

@@ -351,7 +351,7 @@ impl<'s> WeakestClass<'s> {
         let mut changes = Vec::new();
         let has_overflow = energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0);
         let battery = has_overflow.then(|| self.raise_capacity(present)).flatten();
-        // In a gap such as a night, only the battery helps. A small battery also loses what would be harvested in addition.
+        // In a gap such as a night, only the battery helps. A small battery also loses an additional harvest.
         let is_battery_first = self.balance.longest_gap.is_some() || self.has_small_battery();
         changes.extend(battery.clone().filter(|_| is_battery_first));
         if let Harvest::Trace(trace) = &self.class.harvest {
