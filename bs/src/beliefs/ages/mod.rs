@@ -134,13 +134,8 @@ impl Ages {
     }
 
     /// Adds the `j`-th device, which is not chosen, to the choice.
-    pub fn add(&mut self, j: usize) {
-        self.inlined_add(j);
-    }
-
-    /// Does the work of [`Self::add`], for callers inlined into [`VectorWidth::run`].
     #[inline(always)]
-    fn inlined_add(&mut self, j: usize) {
+    pub fn add(&mut self, j: usize) {
         match &mut self.model {
             AgeModel::Certain(certain) => certain.add(j),
             AgeModel::Probabilistic(probabilistic) => probabilistic.add(j),
@@ -148,13 +143,8 @@ impl Ages {
     }
 
     /// Removes the `j`-th device, which is chosen, from the choice.
-    pub fn remove(&mut self, j: usize) {
-        self.inlined_remove(j);
-    }
-
-    /// Does the work of [`Self::remove`], for callers inlined into [`VectorWidth::run`].
     #[inline(always)]
-    fn inlined_remove(&mut self, j: usize) {
+    pub fn remove(&mut self, j: usize) {
         match &mut self.model {
             AgeModel::Certain(certain) => certain.remove(j),
             AgeModel::Probabilistic(probabilistic) => probabilistic.remove(j),

@@ -6,8 +6,8 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. The cells of a block fit the bits
-/// of a `u16`, see [`Block::cell_bits`].
+/// Rows, and columns, of a block. The order of cells, and so digests, depend on it. A block has as many cells as a
+/// `u16` has bits: [`Block::cell_bits`].
 pub(super) const BLOCK_SIDE: usize = 4;
 
 /// The cells that devices can cover, in blocks of neighbours, the most confined blocks first. Few devices reach a

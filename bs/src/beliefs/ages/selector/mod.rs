@@ -134,7 +134,7 @@ impl DeviceSelector {
             match ratio_key(ages.inlined_gain(j as usize), prices[j as usize], j) {
                 Some(key) if key == *best => {
                     PeekMut::pop(best);
-                    ages.inlined_add(j as usize);
+                    ages.add(j as usize);
                     self.nets_alone[j as usize] = f64::NEG_INFINITY;
                     self.chosen.push(Some(j));
                     return true;
@@ -179,11 +179,11 @@ impl DeviceSelector {
             unchanged_slots += 1;
             let slot = turn % slot_count;
             let Some(j) = self.chosen[slot] else { continue };
-            ages.inlined_remove(j as usize);
+            ages.remove(j as usize);
             let best = self.best_around(ages, prices, j as usize);
             self.nets_alone[j as usize] = self.gains_alone[j as usize] - prices[j as usize];
             if let Some(best) = best {
-                ages.inlined_add(best as usize);
+                ages.add(best as usize);
                 self.nets_alone[best as usize] = f64::NEG_INFINITY;
             }
             if best != Some(j) {
