@@ -464,11 +464,12 @@ def check_map(page):
     assert page.value(f"{json.dumps(groups)}.every((group) => window.painted.has(group))"), "cluster numbers"
     assert page.value("[...window.painted].some((text) => /^[0-9.]+ m$/.test(text))"), "scale bar"
     assert "belief" not in page.text("#legend"), "knn has no belief"
-    symbols = page.value("[...document.querySelectorAll('#legend canvas')].map((canvas) => canvas.toDataURL())")
+    # The first picture of the legend is the range of batteries.
+    symbols = page.value("[...document.querySelectorAll('#legend span + span canvas')].map((canvas) => canvas.toDataURL())")
     assert len(symbols) == 7 and len(set(symbols)) == 7, "the symbols differ"
     # The two reasons of a report differ in shape, not only in colour: a diamond covers more than a triangle.
     areas = page.value(
-        "[...document.querySelectorAll('#legend canvas')].map((m) => [...m.getContext('2d').getImageData(0, 0, m.width, m.height).data].filter((value, i) => i % 4 === 3 && value > 128).length)"
+        "[...document.querySelectorAll('#legend span + span canvas')].map((m) => [...m.getContext('2d').getImageData(0, 0, m.width, m.height).data].filter((value, i) => i % 4 === 3 && value > 128).length)"
     )
     assert areas[2] > areas[1] + 10, areas
     picture = "document.getElementById('map').toDataURL()"
@@ -478,7 +479,7 @@ def check_map(page):
         page.until(f"{picture} !== {json.dumps(pictures[-1])}")
         pictures.append(page.value(picture))
         if layer == "looks":
-            page.until("/sensed.*darkest [1-9]/.test(document.getElementById('legend').textContent)")
+            page.until("/sensed.*TTI 0 to ([0-9]+): darkest [1-9]/.exec(document.getElementById('legend').textContent)?.[1] === `${reveille.tti}`")
     centre = page.value("(() => { const [w, h] = reveille.run.area, p = reveille.run.positions[7]; return [p.x / w, 1 - p.y / h]; })()")
     width, height = page.value("(() => { const box = document.getElementById('map').getBoundingClientRect(); return [box.width, box.height]; })()")
     page.click(*page.centre("#map", (10 + centre[0] * (width - 20)) / width, (10 + centre[1] * (height - 20)) / height))
@@ -559,6 +560,11 @@ def check_axes(page):
     assert len(ttis) >= 4 and "1.27911M" in ttis, ttis
     top, bottom = page.value("[20400, 20001].map((value) => trial.y(value))")
     assert 8 < top < bottom, (top, bottom)
+    # A short peak is cut off, with its value, so that it does not flatten the other values.
+    page.value("trial.show([{ name: 'trial', colour: '--ink', points: Array.from({ length: 60 }, (_, nth) => [nth, [nth ? 2 : 90]]) }], 0, 60, null)")
+    page.until("window.painted.has('▲ 90')")
+    peak, usual, bottom = page.value("[90, 2, 0].map((value) => trial.y(value))")
+    assert peak < 0 < usual < bottom - 50, (peak, usual, bottom)
     page.value("document.getElementById('trial').remove()")
 
 

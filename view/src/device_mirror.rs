@@ -196,7 +196,14 @@ impl DeviceMirror {
     /// # Panics
     /// If a device is past the current TTI, after `views_at` or `view_at`.
     pub fn ledgers(&self) -> Vec<Ledger> {
-        let end = self.next_tti();
+        self.ledgers_until(self.next_tti())
+    }
+
+    /// Ledgers of all devices if the run ended before TTI `end`, which is at most the next TTI, in the order of ids.
+    ///
+    /// # Panics
+    /// If a device is already past `end`.
+    pub fn ledgers_until(&self, end: Tti) -> Vec<Ledger> {
         // On copies: settling closes the open TTI, and the run may continue.
         let mut machines = self.machines.clone();
         let ledger = |machine: &mut Machine| {

@@ -202,8 +202,9 @@ impl RunHistory {
         Some(tti_snapshot)
     }
 
-    /// Totals of `device` from the start of the run to the end of TTI `tti`, if available.
-    pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
+    /// The run with all messages that devices and base station know in TTI `tti`, if available. No device is past the
+    /// end of that TTI, so ledgers until then can be read from it.
+    pub fn run_until(&self, tti: Tti) -> Option<Reconstruction> {
         let (first, end) = self.available_ttis();
         if tti < first || tti >= end {
             return None;
@@ -216,12 +217,18 @@ impl RunHistory {
                 Ok(Message::Plan(update)) => update.from > tti,
                 Ok(_) | Err(_) => false,
             };
-            // Anything later would take the machines past `tti`, from where `ledger` cannot go back.
+            // Anything later would take the machines past `tti`, from where they cannot go back.
             if is_later {
                 break;
             }
             let _discrepancy = run.apply(frame).is_err();
         }
+        Some(run)
+    }
+
+    /// Totals of `device` from the start of the run to the end of TTI `tti`, if available.
+    pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
+        let run = self.run_until(tti)?;
         run.mirror().ledger(device, tti + 1).map(|ledger| ledger.whole)
     }
 

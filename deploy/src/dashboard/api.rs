@@ -202,9 +202,15 @@ pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
 
 pub(super) async fn tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
     let value = served.read_feed(move |feed| feed.tti_json(Tti(tti))).await?;
-    value
-        .map(Json)
-        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory any more")))
+    value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
+}
+
+fn tti_not_in_memory(tti: u64) -> ApiError {
+    ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory"))
+}
+
+fn tti_not_in_other_run(tti: u64) -> ApiError {
+    ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run"))
 }
 
 fn no_compared_run() -> ApiError {
@@ -222,7 +228,7 @@ pub(super) async fn compared_tti(State(served): State<ApiState>, Path(tti): Path
     value
         .ok_or_else(no_compared_run)?
         .map(Json)
-        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run")))
+        .ok_or_else(|| tti_not_in_other_run(tti))
 }
 
 /// Serves the curves of the run that `--compare` names.
@@ -490,6 +496,19 @@ pub(super) async fn miss(State(served): State<ApiState>, Query(query): Query<Mis
     }
 }
 
-pub(super) async fn heat(State(served): State<ApiState>) -> ApiResult {
-    Ok(Json(served.read_feed(Feed::heat_json).await?))
+/// Serves the sums of each device up to a TTI.
+pub(super) async fn heat(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+    let value = served.read_feed(move |feed| feed.heat_json(Tti(tti))).await?;
+    value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
+}
+
+/// Serves the same sums of the run that `--compare` names.
+pub(super) async fn compared_heat(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+    let value = served
+        .read_feed(move |feed| feed.compared_feed().map(|other| other.heat_json(Tti(tti))))
+        .await?;
+    value
+        .ok_or_else(no_compared_run)?
+        .map(Json)
+        .ok_or_else(|| tti_not_in_other_run(tti))
 }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
-use reveille_common::ids::Tti;
+use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::EventUpdate;
 use reveille_common::totals::MissCause;
 use serde_json::{Value, json};
@@ -18,6 +18,8 @@ const MAX_LAST_EVENTS: usize = 6;
 /// An event that has ended.
 struct EndedEvent {
     record: EventRecord,
+    /// The nearest device.
+    nearest: DeviceId,
     /// Outcomes of the devices, in the order of their messages.
     outcomes: Vec<String>,
 }
@@ -49,13 +51,17 @@ impl EventLog {
         while self.events.front().is_some_and(|oldest| oldest.record.last < first) {
             self.events.pop_front();
         }
-        let distance = |device: &usize| self.positions[*device].distance(record.epicentre);
-        let nearest = (0..self.positions.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        if let Some(device) = nearest {
-            self.near_counts[device] += 1;
-            self.near_miss_counts[device] += u32::from(record.delay().is_none());
-        }
-        self.events.push_back(EndedEvent { record, outcomes });
+        let distance = |id: &DeviceId| self.positions[id.index()].distance(record.epicentre);
+        let ids = (0..).map(DeviceId).take(self.positions.len());
+        let nearest = ids.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let nearest = nearest.expect("a run has devices");
+        self.near_counts[nearest.index()] += 1;
+        self.near_miss_counts[nearest.index()] += u32::from(record.delay().is_none());
+        self.events.push_back(EndedEvent {
+            record,
+            nearest,
+            outcomes,
+        });
     }
 
     /// The last events that ended up to TTI `tti`, the latest first.
@@ -64,7 +70,7 @@ impl EventLog {
         let latest = self.events.range(..end_index).rev().take(MAX_LAST_EVENTS);
         json!(
             latest
-                .map(|EndedEvent { record, outcomes }| json!({
+                .map(|EndedEvent { record, outcomes, .. }| json!({
                     "tti": record.last,
                     "text": EventUpdate::Ended(*record).to_string(),
                     "missed": record.delay().is_none(),
@@ -113,10 +119,16 @@ impl EventLog {
         earlier.find(|record| record.delay().is_none()).map(event_json)
     }
 
-    /// By device: the number of ended events since TTI 0 to which it is the nearest device, and how many of these were
-    /// missed.
-    pub(super) fn counts(&self) -> (&[u32], &[u32]) {
-        (&self.near_counts, &self.near_miss_counts)
+    /// By device: the number of events that ended from TTI 0 to TTI `tti`, an available one, and to which it is the
+    /// nearest device; and how many of these were missed.
+    pub(super) fn counts_until(&self, tti: Tti) -> (Vec<u32>, Vec<u32>) {
+        let (mut near_counts, mut near_miss_counts) = (self.near_counts.clone(), self.near_miss_counts.clone());
+        let later_index = self.events.partition_point(|event| event.record.last <= tti);
+        for EndedEvent { record, nearest, .. } in self.events.range(later_index..) {
+            near_counts[nearest.index()] -= 1;
+            near_miss_counts[nearest.index()] -= u32::from(record.delay().is_none());
+        }
+        (near_counts, near_miss_counts)
     }
 }
 
@@ -173,7 +185,9 @@ mod tests {
         assert_eq!(start(log.miss_before(Tti(20))), Some(5.into()));
         assert_eq!(start(log.miss_after(Tti(30))), None);
         assert_eq!(start(log.miss_before(Tti(5))), None);
-        assert_eq!(log.counts(), (&[1, 3][..], &[1, 2][..]));
+        let counts = [32, 33, 23, 22].map(|tti| log.counts_until(Tti(tti)));
+        let expected = [([1, 2], [1, 1]), ([1, 3], [1, 2]), ([1, 2], [1, 1]), ([1, 1], [1, 0])];
+        assert_eq!(counts, expected.map(|(near, missed)| (near.to_vec(), missed.to_vec())));
         let overlapping = log.overlapping(Tti(13), Tti(20));
         assert_eq!(overlapping.as_array().map(Vec::len), Some(1), "{overlapping}");
         log.push(record(40, 41, 0.0, 1), Vec::new(), Tti(15));

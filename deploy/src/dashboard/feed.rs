@@ -396,17 +396,17 @@ impl Feed {
         json!(miss)
     }
 
-    /// Sums since TTI 0 of each device: TTIs in S1, and events and misdetections nearest to it.
-    pub(crate) fn heat_json(&self) -> Value {
+    /// Sums from TTI 0 to TTI `tti` of each device: TTIs in S1, and ended events and misdetections nearest to it.
+    /// `None` if the TTI is not available.
+    pub(crate) fn heat_json(&self, tti: Tti) -> Option<Value> {
         let state = self.lock();
-        let mirror = state.history.reconstruction().mirror().clone();
-        let (near_counts, near_miss_counts) = state.events.counts();
-        let (events, misses) = (json!(near_counts), json!(near_miss_counts));
+        let run = state.history.run_until(tti)?;
+        let (near_counts, near_miss_counts) = state.events.counts_until(tti);
         // The ledgers of many devices take long, and the run's frames wait for this lock.
         drop(state);
-        let ledgers = mirror.ledgers();
+        let ledgers = run.mirror().ledgers_until(tti + 1);
         let sensing_ttis: Vec<u64> = ledgers.iter().map(|ledger| ledger.whole.sensing_ttis).collect();
-        json!({ "looks": sensing_ttis, "events": events, "misses": misses })
+        Some(json!({ "tti": tti, "looks": sensing_ttis, "events": near_counts, "misses": near_miss_counts }))
     }
 
     /// Encodes a part of the timeline; `None` if none of its TTIs is available.
@@ -527,6 +527,43 @@ mod tests {
     use reveille_lab::run::{Run, RunOptions};
 
     use super::*;
+
+    #[test]
+    fn heat_counts_up_to_the_requested_tti() {
+        let set = ["devices=12", "ttis=1500", "policy.name=knn", "sensing.d_max=2"];
+        let set = set.map(|set| Override::parse(set).expect("an override"));
+        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let feed = Feed::new("r", &scenario, None, FeedOrigin::Recording(Path::new("r")), None);
+        let mut records = Vec::new();
+        let on_frame = |frame: Frame| {
+            if let Ok(Message::Event(EventUpdate::Ended(record))) = frame.message() {
+                records.push(record);
+            }
+            feed.apply(frame);
+        };
+        Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, on_frame));
+        let positions = Deployment::new(&scenario).positions();
+        for tti in [0, 400, 777, 1499] {
+            let heat = feed.heat_json(Tti(tti)).expect("an available TTI");
+            let (mut near_counts, mut near_miss_counts) = (vec![0; 12], vec![0; 12]);
+            for record in records.iter().filter(|record| record.last.0 <= tti) {
+                let distances: Vec<f64> = positions.iter().map(|at| at.distance(record.epicentre)).collect();
+                let shortest = distances.iter().copied().fold(f64::INFINITY, f64::min);
+                let nearest = distances.iter().position(|distance| *distance == shortest);
+                near_counts[nearest.expect("a device")] += 1;
+                near_miss_counts[nearest.expect("a device")] += i32::from(record.delay().is_none());
+            }
+            assert_eq!(heat["events"], json!(near_counts), "TTI {tti}");
+            assert_eq!(heat["misses"], json!(near_miss_counts), "TTI {tti}");
+            let sensing_ttis = |id| feed.history(|history| history.totals(DeviceId(id), Tti(tti)));
+            let sensing_ttis: Vec<u64> = (0..12)
+                .map(|id| sensing_ttis(id).expect("an available TTI").sensing_ttis)
+                .collect();
+            assert_eq!(heat["looks"], json!(sensing_ttis), "TTI {tti}");
+        }
+        assert!(records.iter().any(|record| record.last.0 > 777), "no late event");
+        assert_eq!(feed.heat_json(Tti(1500)), None);
+    }
 
     #[test]
     fn header_and_curves_agree_between_grants() {

@@ -42,7 +42,7 @@ pub(super) fn summarise_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     report.columns.iter().enumerate().map(sentence).collect()
 }
 
-/// Describes the number of runs of each column, one sentence a column.
+/// Describes the number of runs of each column, and a column with one N.
 pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
     let sentence = |column: &super::ConditionColumn<'_>| {
         let condition = column.condition;
@@ -52,8 +52,13 @@ pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
             (least, most) if least == most => format!("{most} runs"),
             (least, most) => format!("{least} to {most} runs"),
         };
+        let device_counts = condition.all_device_counts();
+        let only_n = device_counts.first().filter(|_| device_counts.len() == 1);
+        let only_n = only_n.map_or_else(String::new, |n| {
+            format!(" Claims on several N are judged at N = {n} alone.")
+        });
         format!(
-            "{}: {per_cell} of {} TTIs for each policy and N, {} in all, seeds {first} to {last}.",
+            "{}: {per_cell} of {} TTIs for each policy and N, {} in all, seeds {first} to {last}.{only_n}",
             column.label,
             condition.ttis,
             condition.run_count()

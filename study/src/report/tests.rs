@@ -310,6 +310,21 @@ fn markdown_tables_have_equal_column_counts() {
 }
 
 #[test]
+fn a_single_n_is_named() {
+    let sentence = |cells: &[(&str, u32, &[f64])]| {
+        let results = Results::new(&[fixtures::table("paper", "misdetection_pct", cells)], &NoFiles).expect("runs");
+        super::notes::describe_runs(&ClaimReport::new(&results)).concat()
+    };
+    let one_n = sentence(&[("knn", 50, &[0.5]), ("genie", 50, &[1.0])]);
+    assert!(
+        one_n.ends_with(" Claims on several N are judged at N = 50 alone."),
+        "{one_n}"
+    );
+    let two_n = sentence(&[("knn", 50, &[0.5]), ("genie", 250, &[1.0])]);
+    assert!(two_n.ends_with("seeds 1 to 1."), "{two_n}");
+}
+
+#[test]
 fn no_miss_is_bounded_by_the_rule_of_three() {
     let table = fixtures::table(
         "paper",

@@ -3,11 +3,21 @@
 import { decades, shortNumber, tickText, ticks, ttiText } from "./axis.js";
 import { addExport } from "./export.js";
 import { element } from "./page_state.js";
-import { hiddenCanvas, ink, prepareCanvas } from "./theme.js";
+import { hiddenCanvas, ink, outlinedText, prepareCanvas } from "./theme.js";
 import { isVisible, onAppear, sizeOf } from "./visibility.js";
 
 const DASHES = [[], [7, 3], [2, 2.5]];
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
+// Values above this quantile count as a peak if the highest one is `PEAK` times as high; few values have no peak.
+const USUAL = 0.95, PEAK = 3, FEW = 40;
+
+// The upper end of the axis: above all values, or only above the usual ones if a short peak would flatten them.
+function axisEnd(values, canCut) {
+  const sorted = Float64Array.from(values).sort(), most = sorted.at(-1) ?? 0;
+  const usual = sorted[Math.floor(USUAL * (sorted.length - 1))] ?? 0;
+  const hasPeak = canCut && sorted.length >= FEW && usual > 0 && most > PEAK * usual;
+  return { end: 1.06 * (hasPeak ? 1.5 * usual : most) || 1, peak: hasPeak ? most : null };
+}
 
 export class Chart {
   // `series` has a name for each line. `isLog` keeps usual values apart below a high peak, such as the first plan.
@@ -93,7 +103,7 @@ export class Chart {
     const { canvas, draw } = hiddenCanvas(width, height);
     const values = this.runs.flatMap(({ points }) => points.flatMap(([, all]) => all)).filter((value) => value !== null && value !== undefined);
     const hasValues = values.length > 0, bottom = height - MARGIN.bottom;
-    const most = this.most ?? (1.06 * values.reduce((a, b) => Math.max(a, b), 0) || 1);
+    const { end: most, peak } = this.most ? { end: this.most, peak: null } : axisEnd(values, !this.isLog);
     const size = this.isLog ? Math.log1p : (value) => value;
     const y = (value) => bottom - (size(value) / size(most)) * (bottom - MARGIN.top);
     const marks = this.isLog && most >= 10 ? decades(most) : ticks(0, most, Math.max(2, Math.floor(height / 42)));
@@ -132,8 +142,18 @@ export class Chart {
         draw.stroke();
       });
     }
+    draw.setLineDash([]);
+    if (peak !== null) this.paintPeak(draw, width, peak);
     this.y = y;
     return { canvas, hasValues };
+  }
+
+  // The value of a peak that the axis cuts off.
+  paintPeak(draw, width, peak) {
+    const [tti] = this.runs.flatMap(({ points }) => points).find(([, all]) => all.includes(peak)), x = this.x(tti), isRight = x > width / 2;
+    draw.textAlign = isRight ? "right" : "left";
+    draw.textBaseline = "top";
+    outlinedText(draw, isRight ? `${shortNumber(peak)} ▲` : `▲ ${shortNumber(peak)}`, x + (isRight ? 4 : -4), MARGIN.top - 3);
   }
 
   paintTtis(draw, width, bottom) {
@@ -203,7 +223,7 @@ export class Chart {
     for (const { values, colour } of found) {
       for (const value of values.filter((value) => value !== null && value !== undefined)) {
         draw.beginPath();
-        draw.arc(this.x(tti), this.y(value), 3, 0, 2 * Math.PI);
+        draw.arc(this.x(tti), Math.max(this.y(value), MARGIN.top), 3, 0, 2 * Math.PI);
         draw.fillStyle = ink(colour);
         draw.fill();
       }

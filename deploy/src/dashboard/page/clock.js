@@ -53,7 +53,7 @@ export const pauseOrResume = () => command(byId("pause").textContent === "Pause"
 
 // Keeps the status up to date, since other programs can drive the clock too.
 async function poll() {
-  if (!document.hidden) await get("api/clock").then(showStatus, () => showRunState());
+  if (!document.hidden && !page.now.over) await get("api/clock").then(showStatus, () => showRunState());
   if (["finished", "interrupted"].includes(runState())) disable();
   else setTimeout(poll, POLL_INTERVAL);
 }

@@ -7,19 +7,20 @@ import { showActions } from "./device_actions.js";
 import { addExport } from "./export.js";
 import { symbolsOf } from "./map_symbols.js";
 import { byId, element, page } from "./page_state.js";
-import { STATES, STATE_OF_CODE, nameOfCode, stateEntry } from "./states.js";
+import { STATES, nameOfCode, stateEntry } from "./states.js";
 import { ink } from "./theme.js";
+import { deviceFlags, stateOf } from "./timeline_data.js";
 
 const TTIS_BEFORE = 300, TTIS_AFTER = 100;
 
 let chart, ledger = [], requested = 0;
 
 // Paints the states as a band at the foot of the chart.
-function paintStates(draw, history, bottom) {
-  history.states.split("").forEach((state, nth) => {
-    const x = Math.round(chart.x(history.from + nth)), height = { 0: 5, x: 3 }[state] ?? 10;
-    draw.fillStyle = ink(STATES[STATE_OF_CODE[state]].colour);
-    draw.fillRect(x, bottom - height, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), height);
+function paintStates(draw, { from, band }, bottom) {
+  band.forEach((state, nth) => {
+    const x = Math.round(chart.x(from + nth)), height = { unpowered: 5, out: 3 }[state] ?? 10;
+    draw.fillStyle = ink(STATES[state].colour);
+    draw.fillRect(x, bottom - height, Math.max(Math.round(chart.x(from + nth + 1)) - x, 1), height);
   });
 }
 
@@ -37,7 +38,7 @@ export async function showDevice() {
   byId("device").value = device < 0 ? "" : device;
   if (device < 0 || now.next <= now.first) return;
   const own = ++requested, from = Math.max(now.first, tti - TTIS_BEFORE), end = Math.min(now.next, tti + TTIS_AFTER);
-  const history = await get(`api/device/${device}?from=${from}&end=${end}&at=${tti}`);
+  const [history, flags] = await Promise.all([get(`api/device/${device}?from=${from}&end=${end}&at=${tti}`), deviceFlags(device, from, end)]);
   if (own !== requested) return;
   const cluster = run.groups ? ` · cluster ${run.groups[device]}` : "", deviceClass = run.classes.length > 1 ? ` · class ${run.classes[run.device_classes[device]]}` : "";
   // Only a live run has hosts.
@@ -57,9 +58,9 @@ export async function showDevice() {
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });
-  chart.history = history;
-  const seen = Object.keys(STATE_OF_CODE).filter((code) => history.states.includes(code));
-  byId("state-legend").replaceChildren(...seen.map((code) => stateEntry(STATE_OF_CODE[code], nameOfCode(code))));
+  chart.history = { from: history.from, band: Array.from(flags, stateOf) };
+  const seen = Object.keys(STATES).filter((name) => chart.history.band.includes(name));
+  byId("state-legend").replaceChildren(...seen.map((name) => stateEntry(name, name === "woken" ? "wake-up sent" : undefined)));
   chart.most = run.e_max[device] * 1.04;
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   ledger = [];

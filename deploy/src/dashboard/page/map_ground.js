@@ -1,7 +1,7 @@
 // The ground of the map: cells tinted by cluster, class or a heat layer, cluster numbers, and a scale bar.
 
 import { ticks } from "./axis.js";
-import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
+import { batteryColour, batteryShare, hiddenCanvas, ink, outlinedText } from "./theme.js";
 
 // Steps of the golden angle keep the hues of neighbouring clusters apart.
 const clusterColour = (cluster) => `hsl(${(cluster * 137.5) % 360} 55% 50%)`;
@@ -18,7 +18,7 @@ export class MapGround {
 
   // The painted ground; the same canvas until something on it changes.
   canvas(width, height, layer, heat, moment) {
-    const version = layer === "battery" ? moment.tti : heat?.version;
+    const version = layer === "battery" ? moment.tti : heat && `${heat.tti} ${heat.most}`;
     const key = [width, height, devicePixelRatio, ink("--line"), layer, version].join();
     if (this.key !== key) {
       this.key = key;
@@ -29,13 +29,8 @@ export class MapGround {
 
   // The heat of each device from 0 to 1, or null.
   heat(layer, heat, moment) {
-    const { devices } = this.map.run;
-    if (layer === "battery" && !moment.states) return null;
-    if (layer === "battery") return Array.from({ length: devices }, (_, device) => batteryShare(moment, device));
-    const values = heat?.[layer];
-    if (!values) return null;
-    const most = Math.max(values.reduce((a, b) => Math.max(a, b), 0), 1);
-    return values.map((value) => value / most);
+    if (layer !== "battery") return heat?.values.map((value) => value / Math.max(heat.most, 1)) ?? null;
+    return moment.states ? Array.from({ length: this.map.run.devices }, (_, device) => batteryShare(moment, device)) : null;
   }
 
   paint(width, height, layer, heat, moment) {
@@ -83,13 +78,7 @@ export class MapGround {
       const at = this.map.place({ x: x / count, y: y / count }, width, height), gap = 1.7 * size + 8;
       const isOnDevice = this.map.devices.places.some(([px, py]) => Math.hypot(px - at[0], py - at[1]) < gap);
       if (isOnDevice) at[1] += at[1] > 2 * gap ? -gap : gap;
-      // The outline keeps the number readable on other devices.
-      draw.lineWidth = 4;
-      draw.lineJoin = "round";
-      draw.strokeStyle = ink("--field");
-      draw.strokeText(group, ...at);
-      draw.fillStyle = ink("--ink");
-      draw.fillText(group, ...at);
+      outlinedText(draw, group, ...at);
     }
   }
 }
@@ -107,8 +96,10 @@ export function paintScaleBar(draw, map, width, height) {
   draw.lineTo(x, y);
   draw.lineTo(x + length * perMetre, y);
   draw.lineTo(x + length * perMetre, y - 5);
-  draw.strokeStyle = draw.fillStyle = ink("--ink");
-  draw.lineWidth = 1.5;
-  draw.stroke();
-  draw.fillText(text, x + 5, y - 2);
+  // An event's circle can cross the bar.
+  for (const [colour, lineWidth] of [["--field", 5], ["--ink", 1.5]]) {
+    Object.assign(draw, { strokeStyle: ink(colour), lineWidth });
+    draw.stroke();
+  }
+  outlinedText(draw, text, x + 5, y - 2);
 }

@@ -11,7 +11,8 @@ import { STATES } from "./states.js";
 import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
 import { isVisible, onAppear } from "./visibility.js";
 
-const HEATS = { misses: "missed events nearest to each device", looks: "TTIs in which each device has sensed", battery: "battery in the shown TTI" };
+// The layers of sums since TTI 0.
+const SUMS = { misses: "missed events nearest to each device", looks: "TTIs in which each device has sensed" };
 
 function nameDevices(devices) {
   return devices.length > 8 ? `${devices.slice(0, 8).join(", ")} … (${devices.length})` : devices.join(", ");
@@ -34,7 +35,8 @@ export class MapPanel {
     const { run, other } = page;
     this.map = new DeviceMap(byId("map"), run);
     this.otherMap = other ? new DeviceMap(byId("other-map"), other.run) : null;
-    this.heat = null;
+    this.heats = [null, null];
+    this.requested = 0;
     for (const canvas of [byId("map"), byId("other-map")]) onAppear(canvas, () => this.paint());
     this.hasBelief = false;
     const layer = byId("layer");
@@ -50,31 +52,41 @@ export class MapPanel {
     return byId("layer").value;
   }
 
-  // Gets the sums of a heat layer, if one is shown.
+  // Gets the sums up to the shown TTI, of this and of the other run, if a layer shows them.
   async refreshHeat() {
-    if (this.layer !== "misses" && this.layer !== "looks") return;
-    const version = page.now.next;
-    this.heat = { ...await get("api/heat"), version };
+    const { tti, other } = page;
+    if (!(this.layer in SUMS) || page.now.next <= page.now.first) return;
+    const own = ++this.requested;
+    // The other run can end earlier.
+    const heats = await Promise.all([get(`api/heat/${tti}`), other && get(`api/other/heat/${tti}`).catch(() => null)]);
+    if (own === this.requested) this.heats = heats;
+  }
+
+  // The sums of the layer for both maps, on one scale.
+  get layerHeats() {
+    if (!(this.layer in SUMS)) return [null, null];
+    const most = Math.max(0, ...this.heats.filter(Boolean).map((heat) => heat[this.layer].reduce((a, b) => Math.max(a, b), 0)));
+    return this.heats.map((heat) => heat && { values: heat[this.layer], most, tti: heat.tti });
   }
 
   paint() {
     const { moment, other, device } = page;
     if (!moment || !(isVisible(byId("map")) || isVisible(byId("other-map")))) return;
-    this.map.paint(moment, device, this.layer, this.heat);
+    const [heat, otherHeat] = this.layerHeats;
+    this.map.paint(moment, device, this.layer, heat);
     const text = moment.states ? describeMoment(moment) : "before TTI 0: the devices have no states yet";
     setText(byId("description"), text || "no event in this TTI");
     byId("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${text}`);
     if (other?.moment) {
-      // Heat layers sum over this run only.
-      this.otherMap.paint(other.moment, device, this.layer in { misses: 1, looks: 1 } ? "none" : this.layer, null);
+      this.otherMap.paint(other.moment, device, this.layer, otherHeat);
       setText(byId("other-description"), describeMoment(other.moment) || "no event in this TTI");
     }
     this.hasBelief ||= Boolean(moment.belief ?? other?.moment?.belief);
-    this.showLegend();
+    this.showLegend(heat);
   }
 
-  showLegend() {
-    const { run } = page, key = [this.layer, this.hasBelief, ink("--ink"), this.layer in { misses: 1, looks: 1 } && this.heat?.version].join();
+  showLegend(heat) {
+    const { run } = page, key = [this.layer, this.hasBelief, ink("--ink"), heat?.tti, heat?.most].join();
     if (this.legendKey === key) return;
     this.legendKey = key;
     const entry = (mark, text) => element("span", {}, mark, text);
@@ -98,18 +110,15 @@ export class MapPanel {
         entries.push(entry(square, `class ${name}`));
       });
     }
-    if (HEATS[this.layer]) {
-      const most = this.heat?.[this.layer]?.reduce((a, b) => Math.max(a, b), 0);
-      // The program has the sums of this run up to its latest TTI only.
-      const span = this.heat?.version && `${page.other ? " of this run" : ""}, TTI 0 to ${this.heat.version - 1}`;
-      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${span || ""}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
-      if (this.layer === "battery") entries.pop();
+    if (this.layer in SUMS) {
+      const sums = heat ? `, TTI 0 to ${heat.tti}: ${heat.most ? `darkest ${heat.most}` : "none so far"}` : "";
+      entries.push(entry(mark("■", "--event"), SUMS[this.layer] + sums));
     }
     byId("legend").replaceChildren(...entries);
   }
 
   rows() {
-    const { run, moment } = page, symbols = symbolsOf(moment), heat = this.heat;
+    const { run, moment } = page, symbols = symbolsOf(moment), [heat] = this.heats;
     return [
       ["device", "x_m", "y_m", "class", "cluster", "state", "battery_units", "plan_senses", ...(heat ? ["sensing_ttis", "near_events", "near_misses"] : [])],
       ...run.positions.map(({ x, y }, device) => [

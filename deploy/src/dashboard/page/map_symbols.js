@@ -45,8 +45,10 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
     draw.lineWidth = size < 3 ? 1.5 : 2.5;
   }
   draw.fill();
-  // An outline would hide the battery of a small symbol.
-  if (size >= 3 || symbol !== "asleep") draw.stroke();
+  // A full outline would hide the battery of a small symbol; without one, full batteries are pale on a light ground.
+  draw.globalAlpha = size < 3 && symbol === "asleep" ? 0.5 : 1;
+  draw.stroke();
+  draw.globalAlpha = 1;
   if (symbol !== "unpowered" && symbol !== "failed" && symbol !== "out") return;
   draw.beginPath();
   // A failed device is crossed upright, so that its mark differs from lack of energy in shape too.

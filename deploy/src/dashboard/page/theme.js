@@ -33,6 +33,16 @@ export function batteryColour(share) {
 // The battery of a device in a moment, from 0 to 1 of its E_max.
 export const batteryShare = (moment, device) => parseInt(moment.batteries.slice(2 * device, 2 * device + 2), 16) / 255;
 
+// Writes text that stays readable on lines and marks.
+export function outlinedText(draw, text, x, y) {
+  draw.lineWidth = 4;
+  draw.lineJoin = "round";
+  draw.strokeStyle = ink("--field");
+  draw.strokeText(text, x, y);
+  draw.fillStyle = ink("--ink");
+  draw.fillText(text, x, y);
+}
+
 // Clears a canvas and fits its pixels to its size on the screen.
 export function prepareCanvas(canvas) {
   const ratio = devicePixelRatio || 1, { width, height } = sizeOf(canvas);

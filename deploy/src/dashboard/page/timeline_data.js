@@ -11,6 +11,26 @@ export const MAX_STEP = 512;
 // Flags of a column, as in `timeline.rs`.
 export const SENSING = 1, REPORTING = 2, ASLEEP = 4, UNPOWERED = 8, REPORTED = 16, WAKE_UP_SENT = 32, FAILED = 64, OUT = 128;
 
+// The state that a column with these flags shows: the rarest one.
+export function stateOf(flags) {
+  if (flags & FAILED) return "failed";
+  if (flags & WAKE_UP_SENT) return "woken";
+  if (flags & (REPORTED | REPORTING)) return "reporting";
+  if (flags & OUT) return "out";
+  if (flags & SENSING) return "sensing";
+  return flags & UNPOWERED ? "unpowered" : "asleep";
+}
+
+// Reads an answer: the end of its TTIs, and three planes of bytes, row by row.
+function decode(bytes) {
+  const head = new DataView(bytes), columns = head.getUint32(16, true), rows = head.getUint32(20, true);
+  const [flags, sensing, battery] = [0, 1, 2].map((nth) => new Uint8Array(bytes, 24 + nth * rows * columns, rows * columns));
+  return { end: Number(head.getBigUint64(8, true)), columns, rows, flags, sensing, battery };
+}
+
+// The flags of a device in each TTI from `from` up to but excluding `end`.
+export const deviceFlags = async (device, from, end) => decode(await getBytes(`api/timeline?from=${from}&end=${end}&rows=${device}`)).flags;
+
 const MAX_TILES = 60;
 const MAX_REQUESTS = 2;
 // Time between two requests for the end of a live run, in milliseconds.
@@ -97,15 +117,13 @@ export class TimelineData {
 
   // Copies an answer into a tile from this column on.
   fill(tile, column, bytes) {
-    const head = new DataView(bytes);
-    const end = Number(head.getBigUint64(8, true)), columns = head.getUint32(16, true), rows = head.getUint32(20, true);
-    for (const [nth, plane] of [tile.flags, tile.sensing, tile.battery].entries()) {
+    const answer = decode(bytes), { columns, rows } = answer;
+    for (const plane of ["flags", "sensing", "battery"]) {
       for (let row = 0; row < rows; row += 1) {
-        const start = 24 + (nth * rows + row) * columns;
-        plane.set(new Uint8Array(bytes, start, columns), row * TILE_COLUMNS + column);
+        tile[plane].set(answer[plane].subarray(row * columns, (row + 1) * columns), row * TILE_COLUMNS + column);
       }
     }
-    tile.until = end;
+    tile.until = answer.end;
     tile.version += 1;
   }
 }

@@ -1,17 +1,18 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
-import { ASLEEP, FAILED, OUT, REPORTING, REPORTED, SENSING, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
+import { ASLEEP, OUT, TILE_COLUMNS, UNPOWERED, stateOf } from "./timeline_data.js";
 import { STATES } from "./states.js";
 import { ink, rgb } from "./theme.js";
 
 // Height of a row and of its parts, in pixels.
-export const ROW = 18;
-const STATE_TOP = 2, STATE_BOTTOM = 10, BATTERY_TOP = 11, BATTERY_BOTTOM = 17;
+export const ROW = 20;
+const STATE_TOP = 1, STATE_BOTTOM = 9, BATTERY_TOP = 10, BATTERY_BOTTOM = 19;
 
 // The top and the bottom of a state's band. Devices that cannot act have a lower one, so that states differ in shape too.
-export function bandOf(flags) {
-  if (flags & (FAILED | WAKE_UP_SENT | REPORTED | REPORTING | SENSING | ASLEEP)) return [STATE_TOP, STATE_BOTTOM];
-  return flags & OUT ? [STATE_BOTTOM - 2, STATE_BOTTOM] : [STATE_BOTTOM - 4, STATE_BOTTOM];
+function bandOf(flags) {
+  const state = stateOf(flags);
+  if (state === "out") return [STATE_BOTTOM - 2, STATE_BOTTOM];
+  return [state === "unpowered" && !(flags & ASLEEP) ? STATE_BOTTOM - 4 : STATE_TOP, STATE_BOTTOM];
 }
 
 const mix = (from, to, share) => from.map((value, nth) => Math.round(value + (to[nth] - value) * share));
@@ -21,17 +22,13 @@ const packed = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
 class Palette {
   constructor() {
     const colour = (state) => rgb(STATES[state].colour), [asleep, sensing, unpowered] = ["asleep", "sensing", "unpowered"].map(colour);
-    for (const state of ["reporting", "woken", "failed", "out"]) this[state] = packed(colour(state));
-    this.battery = packed(rgb("--battery"));
+    this.marks = Object.fromEntries(["reporting", "woken", "failed", "out"].map((state) => [state, packed(colour(state))]));
+    [this.battery, this.emptyBattery] = [packed(rgb("--battery")), packed(rgb("--field"))];
     this.levels = [asleep, unpowered].map((base) => Array.from({ length: 256 }, (_, share) => packed(mix(base, sensing, share / 255))));
   }
 
   state(flags, sensing) {
-    if (flags & FAILED) return this.failed;
-    if (flags & WAKE_UP_SENT) return this.woken;
-    if (flags & (REPORTED | REPORTING)) return this.reporting;
-    if (flags & OUT) return this.out;
-    return this.levels[flags & UNPOWERED ? 1 : 0][sensing];
+    return this.marks[stateOf(flags)] ?? this.levels[flags & UNPOWERED ? 1 : 0][sensing];
   }
 }
 
@@ -56,7 +53,9 @@ export function tilePicture(tile) {
       for (let y = bandTop; y < bandBottom; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = colour;
       // A full battery fills the band; any energy shows at least one pixel.
       const level = Math.ceil((tile.battery[cell] / 255) * (BATTERY_BOTTOM - BATTERY_TOP));
-      for (let y = BATTERY_BOTTOM - level; y < BATTERY_BOTTOM; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = palette.battery;
+      for (let y = BATTERY_TOP; y < BATTERY_BOTTOM; y += 1) {
+        pixels[(top + y) * TILE_COLUMNS + column] = y < BATTERY_BOTTOM - level ? palette.emptyBattery : palette.battery;
+      }
     }
   }
   draw.putImageData(image, 0, 0);
