@@ -45,7 +45,7 @@ declare! {
     pub struct Sensing in "sensing" {
         /// Rule by which a device in S1 detects the active event.
         pub kind: DetectionKind = choice::<DetectionKind>("range").source("Sec. II-A, Sec. IV"),
-        /// Sensing range d_max, at most the area's diagonal.
+        /// Sensing range d_max. At most the area's diagonal.
         pub d_max: f64 = number(POSITIVE, 4.0).unit("metres").source("Table II"),
         /// Decay η of the sensing function p(d) = exp(-η d); η · d_max is at most 700.
         pub eta: f64 = number(POSITIVE, 1.0).unit("per metre").source("Table II"),

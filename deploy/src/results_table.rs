@@ -253,7 +253,7 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
-/// Formats the measured energy of all devices as an equation, and whether it holds in micro-units.
+/// Formats the measured energy of all devices as an equation of rounded numbers, and says if it fails in micro-units.
 fn format_energy_balance(energy: &DeviceTotals) -> String {
     let DeviceTotals {
         initial,
@@ -266,8 +266,8 @@ fn format_energy_balance(energy: &DeviceTotals) -> String {
     let is_exact = initial + harvested == spent + overflow + battery;
     let [initial, harvested, spent, overflow, battery] =
         [initial, harvested, spent, overflow, battery].map(|amount| format_number(amount.units()));
-    let end = if is_exact { "exact" } else { "NOT BALANCED" };
-    format!("energy: {initial} + {harvested} harvested = {spent} spent + {overflow} lost + {battery} left, {end}")
+    let sign = if is_exact { "≈" } else { "≠" };
+    format!("energy: {initial} + {harvested} harvested {sign} {spent} spent + {overflow} lost + {battery} left")
 }
 
 /// Formats the speed of the run, and its hosts and their memory if any.

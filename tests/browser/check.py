@@ -397,7 +397,7 @@ def check_live(page, pictures):
     # The address of another run on this port differs in its token.
     page.value("window.isOld = true; location.hash = '#other'")
     time.sleep(1)
-    page.until("window.isOld === undefined && window.reveille?.updates > 0")
+    page.until("window.isOld === undefined && window.reveille?.updates > 0", 60)
     print(f"{DEVICES} devices, {update_rate:.0f} updates and {paint_rate:.0f} paints a second, nothing on the console")
 
 

@@ -39,17 +39,36 @@ pub struct TrafficStats {
     devices: BTreeMap<DeviceId, BTreeMap<MessageKind, MessageCount>>,
     first_tti: Option<Tti>,
     last_tti: Option<Tti>,
+    /// The first and the last TTI to count; without a last one, all from the first on.
+    bounds: (Tti, Option<Tti>),
 }
 
 impl TrafficStats {
-    /// Counts `frame`.
+    /// Counts only the TTIs from `since` to `until`, inclusive; to the end without `until`.
+    pub fn within(since: Tti, until: Option<Tti>) -> Self {
+        Self {
+            bounds: (since, until),
+            ..Self::default()
+        }
+    }
+
+    /// Counts `frame`, unless its TTI is out of bounds.
     pub fn count(&mut self, frame: &Frame) {
+        self.cover(frame);
+        let (since, until) = self.bounds;
+        if frame.tti < since || until.is_some_and(|until| frame.tti > until) {
+            return;
+        }
         let bytes = frame.payload.len();
         self.kinds.entry(frame.kind).or_default().add(bytes);
         if let (Addressee::Device, Some(number)) = (frame.kind.addressee(), frame.number) {
             let device_kinds = self.devices.entry(DeviceId(number)).or_default();
             device_kinds.entry(frame.kind).or_default().add(bytes);
         }
+    }
+
+    /// Extends the range of TTIs by those of `frame`.
+    fn cover(&mut self, frame: &Frame) {
         // The TTI of an emulation message can be one after the last, when the base station collects the ledgers.
         if frame.kind.plane() == Plane::Emu {
             return;
@@ -59,8 +78,13 @@ impl TrafficStats {
             Some(Ok(Message::World(world))) => world.last,
             Some(Ok(_) | Err(_)) | None => frame.tti,
         };
-        self.first_tti = Some(self.first_tti.map_or(frame.tti, |first| first.min(frame.tti)));
-        self.last_tti = Some(self.last_tti.map_or(last, |earlier| earlier.max(last)));
+        // A grant can begin or end out of bounds.
+        let (since, until) = self.bounds;
+        let (first, last) = (frame.tti.max(since), until.map_or(last, |until| last.min(until)));
+        if first <= last {
+            self.first_tti = Some(self.first_tti.map_or(first, |earlier| earlier.min(first)));
+            self.last_tti = Some(self.last_tti.map_or(last, |earlier| earlier.max(last)));
+        }
     }
 
     /// Number of TTIs in [`Self::tti_range`], inclusive; 0 without them.

@@ -195,6 +195,12 @@ impl EnergyBalance {
         warnings
     }
 
+    /// Warnings about classes whose batteries run down under every policy, each a sentence without its full stop.
+    pub fn depletion_warnings(&self) -> Vec<String> {
+        let warning = |class: &ClassBalance| Some(format!("{}{}", self.subject(class), class.depletion_warning(self)?));
+        self.classes.iter().filter_map(warning).collect()
+    }
+
     /// The start of a sentence about `class`; empty if all devices belong to it.
     fn subject(&self, class: &ClassBalance) -> String {
         if self.classes.len() > 1 {
@@ -243,8 +249,8 @@ impl ClassBalance {
         }
     }
 
-    /// A warning about the harvest of the class in a run with `balance`.
-    fn warning(&self, balance: &EnergyBalance) -> Option<String> {
+    /// A warning if the harvest of the class does not pay for sleeping, in a run with `balance`.
+    fn depletion_warning(&self, balance: &EnergyBalance) -> Option<String> {
         let mean = self.harvest.mean;
         if mean == 0.0 {
             return Some(format!(
@@ -252,14 +258,22 @@ impl ClassBalance {
                 balance.ttis
             ));
         }
-        if self.sleeping_ratio().is_some_and(|ratio| ratio < 1.0) {
-            return Some(format!(
+        self.sleeping_ratio().filter(|ratio| *ratio < 1.0).map(|_| {
+            format!(
                 "the harvest of {} units per TTI does not pay for sleeping ({}), so batteries run down under every \
                  policy; change the fields of harvest, or lower energy.e_wur",
                 format_significant(mean, 3),
                 format_significant(self.sleeping_cost, 3)
-            ));
+            )
+        })
+    }
+
+    /// A warning about the harvest of the class in a run with `balance`.
+    fn warning(&self, balance: &EnergyBalance) -> Option<String> {
+        if let Some(warning) = self.depletion_warning(balance) {
+            return Some(warning);
         }
+        let mean = self.harvest.mean;
         let sensing_share = self.affordable_sensing(balance.reports_per_device_tti);
         if sensing_share < SCARCE_SENSING {
             let affordable = if sensing_share > 0.0 {

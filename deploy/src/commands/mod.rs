@@ -64,7 +64,12 @@ pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &P
     } else {
         let rows = if args.all_metrics { Rows::All } else { Rows::Main };
         display::print_stdout(&results_table::format_results(summary, rows, terminal::shows_colours()))?;
-        display::print_stdout(&format!("results in {}\n", folder.display()))?;
+        let resume_hint = if summary.status == "complete" {
+            String::new()
+        } else {
+            format!("; resume the run with --resume {}", display::shell_word(folder))
+        };
+        display::print_stdout(&format!("results in {}{resume_hint}\n", folder.display()))?;
         if summary.totals.events.misdetected > 0 {
             let folder = folder.display();
             display::print_stdout(&format!("missed events: reveille inspect misses {folder}\n"))?;

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, load_with_external};
+use reveille_common::energy_balance::EnergyBalance;
 use reveille_lab::external_inputs::{ExternalInputs, InputLogError};
 
 use crate::cli::{DEFAULT_SCENARIO, OutputArgs, ScenarioArgs};
@@ -33,7 +34,11 @@ pub(super) fn resolve_started_run(
     output: &OutputArgs,
 ) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
     let Some(folder) = &output.resume else {
-        return resolve_new_run(args);
+        let (scenario, recorded_inputs) = resolve_new_run(args)?;
+        for warning in EnergyBalance::new(&scenario).depletion_warnings() {
+            tracing::warn!("{warning}");
+        }
+        return Ok((scenario, recorded_inputs));
     };
     if args.is_given() {
         anyhow::bail!(

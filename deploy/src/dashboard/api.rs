@@ -9,7 +9,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{FromRequestParts, Path, Query, Request, State};
+use axum::http::request::Parts;
 use axum::http::{Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::sse::{Event, Sse};
@@ -21,6 +22,7 @@ use reveille_view::filter::{Filter, StateName};
 use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use subtle::ConstantTimeEq;
 use tokio::sync::{Semaphore, watch};
@@ -122,6 +124,25 @@ impl IntoResponse for ApiError {
     }
 }
 
+/// The parameters of a request. Unlike [`Query`], it answers errors like every other one.
+pub(super) struct Params<T>(pub(super) T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, ApiError> {
+        let query = Query::try_from_uri(&parts.uri);
+        query
+            .map(|Query(params)| Self(params))
+            .map_err(|error| ApiError(error.status(), error.body_text()))
+    }
+}
+
+/// No parameters.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NoParams {}
+
 /// Passes on allowed requests only.
 pub(super) async fn check_request(State(served): State<ApiState>, request: Request, next: Next) -> Response {
     match refusal_of(&served, &request) {
@@ -162,7 +183,7 @@ fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
     let has_token =
         header_text(TOKEN_HEADER).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
     let why = || {
-        "the token is missing; open the address that the program printed, or send its part after `#` in the header \
+        "the token is missing or wrong; open the address that the program printed, or send its part after `#` in the header \
          x-reveille-token"
             .to_owned()
     };
@@ -177,7 +198,7 @@ pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
     Json(about)
 }
 
-pub(super) async fn now(State(served): State<ApiState>) -> Json<Value> {
+pub(super) async fn now(State(served): State<ApiState>, Params(NoParams {}): Params<NoParams>) -> Json<Value> {
     Json(served.feed.current_json())
 }
 
@@ -247,6 +268,7 @@ pub(super) async fn curves(State(served): State<ApiState>) -> Result<Json<Vec<Cu
 
 /// The filters of the message list, with the names of `inspect tail` except `limit`. `until` is included.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct MessageQuery {
     plane: Option<String>,
     /// Leaves out the messages of the emulation plane.
@@ -336,7 +358,7 @@ fn split_names(names: Option<&str>) -> impl Iterator<Item = &str> {
     names.filter(|name| !name.is_empty())
 }
 
-pub(super) async fn messages(State(served): State<ApiState>, Query(query): Query<MessageQuery>) -> ApiResult {
+pub(super) async fn messages(State(served): State<ApiState>, Params(query): Params<MessageQuery>) -> ApiResult {
     let filter = query.filter(&served.feed)?;
     let limit = query.limit.unwrap_or(MAX_MESSAGES).min(MAX_MESSAGES);
     // Kinds that the reader names take precedence.
@@ -384,6 +406,7 @@ pub(super) async fn message(State(served): State<ApiState>, Path(number): Path<u
 
 /// The requested TTIs of a history, from `from` up to but excluding `end`.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct TtiRange {
     from: Option<u64>,
     end: Option<u64>,
@@ -394,7 +417,7 @@ pub(super) struct TtiRange {
 pub(super) async fn device(
     State(served): State<ApiState>,
     Path(device): Path<u32>,
-    Query(span): Query<TtiRange>,
+    Params(span): Params<TtiRange>,
 ) -> ApiResult {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
     let read = move |history: &RunHistory| {
@@ -435,6 +458,7 @@ pub(super) async fn device(
 /// A part of the timeline: TTIs from `from` up to but excluding `end`, TTIs in a column, and a list of devices such as
 /// `0-31,40`.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct TimelineQuery {
     from: u64,
     end: u64,
@@ -445,7 +469,7 @@ pub(super) struct TimelineQuery {
 /// Serves states and batteries of many devices in the binary form of `timeline`.
 pub(super) async fn timeline(
     State(served): State<ApiState>,
-    Query(query): Query<TimelineQuery>,
+    Params(query): Params<TimelineQuery>,
 ) -> Result<impl IntoResponse, ApiError> {
     let refused = |why: String| ApiError(StatusCode::BAD_REQUEST, why);
     let devices = parse_rows(&query.rows, served.feed.devices())
@@ -473,19 +497,20 @@ pub(super) async fn timeline(
 }
 
 /// Serves the ended events of some TTIs.
-pub(super) async fn events(State(served): State<ApiState>, Query(span): Query<TtiRange>) -> Json<Value> {
+pub(super) async fn events(State(served): State<ApiState>, Params(span): Params<TtiRange>) -> Json<Value> {
     let (from, end) = (Tti(span.from.unwrap_or(0)), Tti(span.end.unwrap_or(u64::MAX)));
     Json(served.feed.events_json(from, end))
 }
 
 /// The TTI after or before which a misdetection is requested.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct MissQuery {
     after: Option<u64>,
     before: Option<u64>,
 }
 
-pub(super) async fn miss(State(served): State<ApiState>, Query(query): Query<MissQuery>) -> ApiResult {
+pub(super) async fn miss(State(served): State<ApiState>, Params(query): Params<MissQuery>) -> ApiResult {
     match (query.after, query.before) {
         (Some(tti), None) => Ok(Json(served.feed.miss_json(Tti(tti), true))),
         (None, Some(tti)) => Ok(Json(served.feed.miss_json(Tti(tti), false))),

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use reveille_common::bus::BusError;
 use reveille_common::ids::{DeviceId, Tti};
@@ -14,7 +14,7 @@ use reveille_common::units::Energy;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::api::{ApiError, ApiResult, ApiState};
+use super::api::{ApiError, ApiResult, ApiState, Params};
 
 /// Longest wait for an answer of the base station.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -25,6 +25,7 @@ pub(super) async fn clock(State(served): State<ApiState>) -> ApiResult {
 
 /// The number of a command: TTIs for `step`, a TTI for `run-to`, µs per TTI for `pace`.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct CountParam {
     n: Option<u64>,
 }
@@ -33,7 +34,7 @@ pub(super) struct CountParam {
 pub(super) async fn command(
     State(served): State<ApiState>,
     Path(command): Path<String>,
-    Query(count): Query<CountParam>,
+    Params(count): Params<CountParam>,
 ) -> ApiResult {
     let command = match (command.as_str(), count.n) {
         ("pause", _) => ClockCommand::Pause,
@@ -54,6 +55,7 @@ pub(super) async fn command(
 
 /// The device of an action, and the energy for it.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct ActQuery {
     device: u32,
     units: Option<f64>,
@@ -63,7 +65,7 @@ pub(super) struct ActQuery {
 pub(super) async fn act(
     State(served): State<ApiState>,
     Path(action): Path<String>,
-    Query(query): Query<ActQuery>,
+    Params(query): Params<ActQuery>,
 ) -> ApiResult {
     let device = DeviceRange {
         first: DeviceId(query.device),
@@ -74,7 +76,7 @@ pub(super) async fn act(
         ("revive", _) => Change::Revive(device),
         ("energy", Some(energy)) => Change::AddEnergy(device, energy),
         _ => {
-            let why = "unknown action; use fail?device=7, revive?device=7 or energy?device=7&units=2.5";
+            let why = "unknown action, or no units; use fail?device=7, revive?device=7 or energy?device=7&units=2.5";
             return Err(ApiError(StatusCode::BAD_REQUEST, why.to_owned()));
         }
     };

@@ -97,7 +97,13 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
             "no such page; docs/watching.md lists them".to_owned(),
         )
     };
-    router = router.fallback(no_page);
+    let no_method = || async {
+        api::ApiError(
+            StatusCode::METHOD_NOT_ALLOWED,
+            "use POST for commands and GET for everything else".to_owned(),
+        )
+    };
+    router = router.fallback(no_page).method_not_allowed_fallback(no_method);
     // A layer covers the routes added before it: all of them, the pages included.
     let router = router
         .layer(middleware::from_fn_with_state(state.clone(), check_request))

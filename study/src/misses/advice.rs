@@ -371,7 +371,7 @@ impl<'s> WeakestClass<'s> {
                 let lambda_for =
                     |cost: f64| Some(lambdas_with_positive_net(LambdaReading::Eq5, e_b, cost, self.tau)?.0);
                 // Without enough energy to sleep, a λ that pays for little more leaves devices unable to sense.
-                if self.can_sleep() || lambda_for(2.0 * self.balance.sleeping_cost).is_some() {
+                if self.can_sleep() || lambda_for(self.balance.sensing_cost).is_some() {
                     changes.extend(self.raise_harvest(present, "harvest.lambda", lambda_for));
                 }
             }
@@ -391,14 +391,11 @@ impl<'s> WeakestClass<'s> {
         spend_less: Option<&str>,
     ) -> Vec<Suggestion> {
         let mut changes = self.ways_to_harvest_more(present, energy);
-        let policy_changes = ways_to_sense_less(policy, present);
+        // Otherwise batteries run down under every policy.
         if self.can_sleep() {
             let lower_cost = spend_less.map(|field| present.scale("lower", &self.field(present, field), &LOWER));
             changes.extend(lower_cost.flatten());
-            changes.extend(policy_changes);
-        } else {
-            let limited = |change: Suggestion| change.with_purpose(" (cannot keep batteries from running down)");
-            changes.extend(policy_changes.into_iter().map(limited));
+            changes.extend(ways_to_sense_less(policy, present));
         }
         changes
     }

@@ -45,13 +45,13 @@ pub enum RecordingError {
         wire: String,
     },
     /// The file is truncated: the recording process was killed, or the file was cut.
-    #[error("is truncated after {}", count_noun(*frames, "message"))]
+    #[error("the recording is truncated after {}", count_noun(*frames, "message"))]
     Torn {
         /// Number of messages read before the tear, since the last seek if any.
         frames: u64,
     },
     /// The content was changed.
-    #[error("is damaged after {}: {cause}", count_noun(*frames, "message"))]
+    #[error("the recording is damaged after {}: {cause}", count_noun(*frames, "message"))]
     Damaged {
         /// Number of messages read before the damage, since the last seek if any.
         frames: u64,

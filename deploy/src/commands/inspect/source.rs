@@ -183,8 +183,12 @@ impl FrameSource {
         let shown_messages = count_noun(shown, "message");
         match self {
             Self::Live(live) => {
-                let dropped_frames = live.dropped_frames();
-                format!("{shown_messages} shown, {dropped_frames} dropped (reader too slow)")
+                let reason = if live.dropped_frames() > 0 {
+                    " (reader too slow)"
+                } else {
+                    ""
+                };
+                format!("{shown_messages} shown, {} dropped{reason}", live.dropped_frames())
             }
             Self::Recorded(..) => format!("{shown_messages} shown"),
         }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::ids::Tti;
 use reveille_common::message::{MessageKind, Plane};
 use reveille_view::traffic::{MessageCount, TrafficStats};
 use serde_json::{Value, json};
@@ -24,22 +25,13 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
     let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
     let device_count = source.bundle().await?.load()?.run.devices;
-    if let Some(since) = args.since {
-        source.seek(reveille_common::ids::Tti(since))?;
-    }
+    // Without a seek, which would skip a grant that begins before `--since`.
     source.report_position();
-    let (mut traffic, mut last_shown) = (TrafficStats::default(), crate::runtime::now());
+    let mut traffic = TrafficStats::within(Tti(args.since.unwrap_or(0)), args.until.map(Tti));
+    let mut last_shown = crate::runtime::now();
     let torn = loop {
         match source.next().await {
-            Ok(Some((frames, _))) => {
-                for frame in frames {
-                    let is_wanted = args.since.is_none_or(|since| frame.tti.0 >= since)
-                        && args.until.is_none_or(|until| frame.tti.0 <= until);
-                    if is_wanted {
-                        traffic.count(&frame);
-                    }
-                }
-            }
+            Ok(Some((frames, _))) => frames.iter().for_each(|frame| traffic.count(frame)),
             Ok(None) => break None,
             Err(error) => break Some(error),
         }

@@ -56,11 +56,15 @@ pub(super) struct SweepSummary<'r> {
 impl SweepSummary<'_> {
     /// Formats a row per cell, and the path of the table of all runs.
     pub(super) fn to_text(&self) -> String {
+        let cells = self.format_cells();
+        let has_bounds = cells.contains('<');
         let mut lines = vec![
-            self.format_cells(),
+            cells,
             "mean and, below it, half-width of the 95 % interval over the runs".to_owned(),
-            "<: a one-sided 95 % bound, where an interval would need more cases".to_owned(),
         ];
+        if has_bounds {
+            lines.push("<: a one-sided 95 % bound, where an interval would need more cases".to_owned());
+        }
         let script = self.result.table.metadata.action_script();
         lines.extend(script.map(|script| describe_script(&script)));
         lines.extend(self.format_wide_intervals());

@@ -396,14 +396,18 @@ pub fn canonical_field(field: &str) -> String {
     }
 }
 
-/// Returns the first clause of a field's help, and its unit; `None` without a declared field, or if the figures' font
-/// lacks a letter of the clause.
+/// Returns the first clause of a field's help, with the device class of the field if any, and its unit; `None` without
+/// a declared field, or if the figures' font lacks a letter of the clause.
 fn field_in_words(field: &str) -> Option<(String, &'static str)> {
-    let (_, declared) = reveille_bs::scenario::declaration().field_by_path(field)?;
+    let (of_class, path) = match field.strip_prefix("class.").and_then(|field| field.split_once('.')) {
+        Some((class, path)) => (format!(" of class {class}"), path),
+        None => (String::new(), field),
+    };
+    let (_, declared) = reveille_bs::scenario::declaration().field_by_path(path)?;
     let help = declared.help.replace('`', "");
     let ends = [". ", ": ", "; ", " ("].iter().filter_map(|end| help.find(end));
     let clause = help[..ends.min().unwrap_or(help.len())].trim_end_matches('.');
-    let words = lower_first(clause);
+    let words = lower_first(clause) + &of_class;
     let is_legible = |weight| has_all_glyphs(&words, weight);
     (!words.is_empty() && is_legible(Weight::Regular) && is_legible(Weight::Bold)).then_some((words, declared.unit))
 }
