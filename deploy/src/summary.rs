@@ -127,9 +127,9 @@ pub(crate) struct Timing {
     pub decisions_refused: u64,
     /// Decision requests without an answer in time: the plan stayed the same, or no device was woken.
     pub decisions_held: u64,
-    /// Lost device processes whose devices were taken over.
+    /// Losses of device processes that ended with the return of the process or with a takeover of its devices.
     pub losses: usize,
-    /// The longest takeover, seconds.
+    /// The longest of them, seconds.
     pub longest_loss_s: f64,
     /// Mean resident memory of a device process in MB, 0 without device processes.
     pub host_rss_mb: f64,

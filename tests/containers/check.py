@@ -236,7 +236,7 @@ def faults(testbed):
     testbed.wait_for("a restart", lambda: inspect(bs, "{{.RestartCount}} {{.State.Running}}") == "1 true")
     testbed.wait_for_text("replaying the run up to TTI")
     summary = testbed.finish()
-    return f"{summary['timing']['losses']} losses after the base station was killed"
+    return f"{summary['timing']['losses']} losses of processes after the base station was killed"
 
 
 def full_disk(testbed):
@@ -328,7 +328,7 @@ def federated(testbed):
     testbed.wait_for_text("reconnected to run", "router-a")
     summary = testbed.finish()
     assert summary["timing"]["hosts"] == 4, summary["timing"]
-    return f"4 replicas behind 2 routers, {summary['timing']['losses']} losses after a network was cut"
+    return f"4 replicas behind 2 routers, {summary['timing']['losses']} losses of processes after a network was cut"
 
 
 def stranger_error(network, image, script):
@@ -448,7 +448,8 @@ def made_testbed(testbed):
             assert actions.read_text().count("energy") == 2, actions.read_text()
             expected = run(reveille, "run", *scenario, "--input-log", str(actions), "--quiet", "--json", "--out", f"{folder}/out")
             assert summary["digest"] == json.loads(expected.stdout)["digest"], "another digest than in memory"
-            assert summary["timing"]["losses"] >= 1 and summary["timing"]["hosts"] == 4, summary["timing"]
+            # A fault of the base station loses all 4 processes, another fault at most 3.
+            assert 4 <= summary["timing"]["losses"] <= 4 * len(schedule) and summary["timing"]["hosts"] == 4, summary["timing"]
             assert inspect(container_of(name, "weak-1"), "{{.HostConfig.Memory}} {{.HostConfig.NanoCpus}}") == f"{64 << 20} 500000000"
             status = run(reveille, "testbed", "status", out).stdout
             assert status.startswith(f"{name}: the run is over\n") and status.count("Exited (0)") == 6, status
@@ -471,7 +472,7 @@ def made_testbed(testbed):
         for kind in ("container", "volume", "network"):
             left = run("docker", kind, "ls", *(["--all"] if kind == "container" else []), "--quiet", "--filter", label).stdout
             assert not left, f"{kind}: {left}"
-    return f"1500 TTIs with {len(schedule)} faults and an interruption in {duration:.0f} s, {summary['timing']['losses']} losses in the last part"
+    return f"1500 TTIs with {len(schedule)} faults and an interruption in {duration:.0f} s, {summary['timing']['losses']} losses of processes in the last part"
 
 
 CASES = {

@@ -174,7 +174,7 @@ pub struct ServerOutcome {
     pub malformed_payloads: u64,
     /// Messages that were dropped because they were unexpected or impossible.
     pub unexpected_messages: u64,
-    /// Duration of each loss of a host that ended with its return or with a takeover.
+    /// Duration of each loss of a process, until all its devices had hosts again.
     pub loss_durations: Vec<Duration>,
     /// Decisions of policy processes.
     pub decisions: DecisionCounts,

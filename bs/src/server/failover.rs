@@ -64,6 +64,9 @@ pub trait ReplaySource: Send + Sync {
 #[derive(Clone, Debug)]
 struct PendingTakeover {
     assignment: Assignment,
+    /// The name of its process, which can have several hosts.
+    process: String,
+    /// The time at which the process was lost.
     lost_at: Instant,
     /// The time of the last warning about the loss.
     warned_at: Option<Instant>,
@@ -75,7 +78,7 @@ struct PendingTakeover {
     reserved_for: Option<HostId>,
 }
 
-/// All lost hosts, and the durations of past losses.
+/// All lost hosts, and the durations of past losses of processes.
 #[derive(Clone, Debug, Default)]
 pub struct LostHosts {
     pending: Vec<PendingTakeover>,
@@ -83,14 +86,15 @@ pub struct LostHosts {
 }
 
 impl LostHosts {
-    /// Adds a lost host with this assignment. Returns false if it is known already.
-    pub fn add(&mut self, assignment: Assignment, now: Instant) -> bool {
+    /// Adds a lost host of `process` with this assignment. Returns false if it is known already.
+    pub fn add(&mut self, assignment: Assignment, process: &str, now: Instant) -> bool {
         if self.position(assignment.host).is_some() {
             return false;
         }
         self.pending.push(PendingTakeover {
             assignment,
-            lost_at: now,
+            process: process.to_owned(),
+            lost_at: self.pending_of(process).map_or(now, |first| first.lost_at),
             warned_at: None,
             replay_tti: None,
             checkpoint: None,
@@ -225,16 +229,22 @@ impl LostHosts {
         Some((takeover.assignment, now.saturating_duration_since(takeover.lost_at)))
     }
 
-    /// Duration of each loss that ended with the return of the host or with a takeover.
+    /// Duration of each loss of a process. It ends with the return or the takeover of the last of its hosts.
     pub fn loss_durations(&self) -> &[Duration] {
         &self.loss_durations
     }
 
     fn remove_pending(&mut self, index: usize, now: Instant) -> PendingTakeover {
         let takeover = self.pending.swap_remove(index);
-        self.loss_durations
-            .push(now.saturating_duration_since(takeover.lost_at));
+        if self.pending_of(&takeover.process).is_none() {
+            self.loss_durations
+                .push(now.saturating_duration_since(takeover.lost_at));
+        }
         takeover
+    }
+
+    fn pending_of(&self, process: &str) -> Option<&PendingTakeover> {
+        self.pending.iter().find(|takeover| takeover.process == process)
     }
 
     fn position(&self, host: HostId) -> Option<usize> {
@@ -273,8 +283,8 @@ mod tests {
     fn a_new_host_takes_over_the_largest_assignment_that_fits_once_its_checkpoint_is_known() {
         let mut lost_hosts = LostHosts::default();
         let now = Instant::now();
-        assert!(lost_hosts.add(assignment(0, 0, 5), now) && lost_hosts.add(assignment(1, 5, 9), now));
-        assert!(!lost_hosts.add(assignment(0, 0, 5), now), "a loss counts once");
+        assert!(lost_hosts.add(assignment(0, 0, 5), "a", now) && lost_hosts.add(assignment(1, 5, 9), "b", now));
+        assert!(!lost_hosts.add(assignment(0, 0, 5), "a", now), "a loss counts once");
         assert_eq!(lost_hosts.request_replays(Tti(7)).len(), 2);
         assert!(lost_hosts.request_replays(Tti(7)).is_empty() && lost_hosts.find_takeover(20).is_none());
         lost_hosts.set_checkpoint(HostId(0), checkpoint());
@@ -320,10 +330,10 @@ mod tests {
     fn each_loss_is_reported_at_once_and_at_intervals_until_its_limit() {
         let mut lost_hosts = LostHosts::default();
         let (start, second) = (Instant::now(), Duration::from_secs(1));
-        lost_hosts.add(assignment(0, 0, 5), start);
+        lost_hosts.add(assignment(0, 0, 5), "a", start);
         let first = lost_hosts.take_due_warnings(start + second);
         assert_eq!(first, [(assignment(0, 0, 5), None)]);
-        lost_hosts.add(assignment(1, 5, 5), start + 2 * second);
+        lost_hosts.add(assignment(1, 5, 5), "b", start + 2 * second);
         let warned: Vec<_> = lost_hosts.take_due_warnings(start + 2 * second);
         assert_eq!(warned, [(assignment(1, 5, 5), None)]);
         let repeated = lost_hosts.take_due_warnings(start + second + WARNING_INTERVAL);
@@ -339,17 +349,35 @@ mod tests {
     }
 
     #[test]
+    fn the_loss_of_a_process_counts_once_until_all_its_hosts_are_replaced() {
+        let mut lost_hosts = LostHosts::default();
+        let (start, second) = (Instant::now(), Duration::from_secs(1));
+        lost_hosts.add(assignment(0, 0, 5), "a", start);
+        lost_hosts.add(assignment(1, 5, 5), "b", start + second);
+        lost_hosts.add(assignment(2, 10, 5), "a", start + second);
+        lost_hosts.end_loss(HostId(0), start + 2 * second);
+        assert!(lost_hosts.loss_durations().is_empty(), "process a has another lost host");
+        lost_hosts.request_replays(Tti(7));
+        lost_hosts.set_checkpoint(HostId(2), checkpoint());
+        lost_hosts.reserve(HostId(2), HostId(3));
+        lost_hosts.complete_takeover(HostId(3), start + 3 * second);
+        assert_eq!(lost_hosts.loss_durations(), [3 * second]);
+        lost_hosts.end_loss(HostId(1), start + 5 * second);
+        assert_eq!(lost_hosts.loss_durations(), [3 * second, 4 * second]);
+    }
+
+    #[test]
     fn a_host_that_returns_keeps_its_devices() {
         let mut lost_hosts = LostHosts::default();
         let now = Instant::now();
-        lost_hosts.add(assignment(0, 0, 5), now);
+        lost_hosts.add(assignment(0, 0, 5), "a", now);
         lost_hosts.request_replays(Tti(7));
         lost_hosts.set_checkpoint(HostId(0), checkpoint());
         lost_hosts.reserve(HostId(0), HostId(1));
         assert_eq!(lost_hosts.end_loss(HostId(0), now), Some(Some(HostId(1))));
         assert_eq!(lost_hosts.end_loss(HostId(0), now), None);
         assert!(lost_hosts.is_empty() && lost_hosts.complete_takeover(HostId(1), now).is_none());
-        lost_hosts.add(assignment(0, 0, 5), now);
+        lost_hosts.add(assignment(0, 0, 5), "a", now);
         lost_hosts.request_replays(Tti(9));
         lost_hosts.set_checkpoint(HostId(0), checkpoint());
         assert!(

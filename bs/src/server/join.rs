@@ -281,7 +281,8 @@ impl ServerState {
             self.lost_hosts.cancel_reservation(host);
             self.admission.revoke(host);
         } else if let Some(assignment) = self.admission.assignment(host) {
-            self.lost_hosts.add(assignment, now());
+            let process = self.admission.host_name(host);
+            self.lost_hosts.add(assignment, process, now());
         }
     }
 

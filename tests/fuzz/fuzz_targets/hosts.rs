@@ -152,7 +152,7 @@ impl HostRecords {
             self.lost_hosts.cancel_reservation(host);
             self.admission.revoke(host);
         } else if let Some(assignment) = self.admission.assignment(host) {
-            self.lost_hosts.add(assignment, self.now);
+            self.lost_hosts.add(assignment, self.admission.host_name(host), self.now);
         }
     }
 
