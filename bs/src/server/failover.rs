@@ -356,7 +356,10 @@ mod tests {
         lost_hosts.add(assignment(1, 5, 5), "b", start + second);
         lost_hosts.add(assignment(2, 10, 5), "a", start + second);
         lost_hosts.end_loss(HostId(0), start + 2 * second);
-        assert!(lost_hosts.loss_durations().is_empty(), "process a has another lost host");
+        assert!(
+            lost_hosts.loss_durations().is_empty(),
+            "process a has another lost host"
+        );
         lost_hosts.request_replays(Tti(7));
         lost_hosts.set_checkpoint(HostId(2), checkpoint());
         lost_hosts.reserve(HostId(2), HostId(3));

@@ -138,6 +138,19 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
     }
 }
 
+/// A part of the path of a request. Unlike [`Path`], it answers errors like every other one.
+pub(super) struct PathPart<T>(pub(super) T);
+
+impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for PathPart<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let path = Path::from_request_parts(parts, state).await;
+        path.map(|Path(part)| Self(part))
+            .map_err(|error| ApiError(error.status(), error.body_text()))
+    }
+}
+
 /// No parameters.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -221,7 +234,7 @@ pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
     ([(header::CACHE_CONTROL, "no-store")], Sse::new(events))
 }
 
-pub(super) async fn tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+pub(super) async fn tti(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
     let value = served.read_feed(move |feed| feed.tti_json(Tti(tti))).await?;
     value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
 }
@@ -242,7 +255,7 @@ fn no_compared_run() -> ApiError {
 }
 
 /// Serves a TTI of the run that `--compare` names.
-pub(super) async fn compared_tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+pub(super) async fn compared_tti(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
     let value = served
         .read_feed(move |feed| feed.compared_feed().map(|other| other.tti_json(Tti(tti))))
         .await?;
@@ -390,7 +403,7 @@ pub(super) async fn messages(State(served): State<ApiState>, Params(query): Para
     Ok(Json(json!(rows)))
 }
 
-pub(super) async fn message(State(served): State<ApiState>, Path(number): Path<u64>) -> ApiResult {
+pub(super) async fn message(State(served): State<ApiState>, PathPart(number): PathPart<u64>) -> ApiResult {
     let value = served.feed.history(|history| {
         let frame = history.frame(number)?;
         let line: Value = serde_json::from_str(&FrameLine::new(frame).to_json()).ok()?;
@@ -416,7 +429,7 @@ pub(super) struct TtiRange {
 
 pub(super) async fn device(
     State(served): State<ApiState>,
-    Path(device): Path<u32>,
+    PathPart(device): PathPart<u32>,
     Params(span): Params<TtiRange>,
 ) -> ApiResult {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
@@ -522,13 +535,13 @@ pub(super) async fn miss(State(served): State<ApiState>, Params(query): Params<M
 }
 
 /// Serves the sums of each device up to a TTI.
-pub(super) async fn heat(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+pub(super) async fn heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
     let value = served.read_feed(move |feed| feed.heat_json(Tti(tti))).await?;
     value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
 }
 
 /// Serves the same sums of the run that `--compare` names.
-pub(super) async fn compared_heat(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+pub(super) async fn compared_heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
     let value = served
         .read_feed(move |feed| feed.compared_feed().map(|other| other.heat_json(Tti(tti))))
         .await?;

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use reveille_common::bus::BusError;
 use reveille_common::ids::{DeviceId, Tti};
@@ -14,7 +14,7 @@ use reveille_common::units::Energy;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::api::{ApiError, ApiResult, ApiState, Params};
+use super::api::{ApiError, ApiResult, ApiState, Params, PathPart};
 
 /// Longest wait for an answer of the base station.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -33,7 +33,7 @@ pub(super) struct CountParam {
 /// Sends a command to the clock. The page and `tests/program/dashboard.rs` use the names.
 pub(super) async fn command(
     State(served): State<ApiState>,
-    Path(command): Path<String>,
+    PathPart(command): PathPart<String>,
     Params(count): Params<CountParam>,
 ) -> ApiResult {
     let command = match (command.as_str(), count.n) {
@@ -64,7 +64,7 @@ pub(super) struct ActQuery {
 /// Fails or revives a device, or adds energy to it, in the first TTI that is not granted yet.
 pub(super) async fn act(
     State(served): State<ApiState>,
-    Path(action): Path<String>,
+    PathPart(action): PathPart<String>,
     Params(query): Params<ActQuery>,
 ) -> ApiResult {
     let device = DeviceRange {
