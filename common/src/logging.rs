@@ -36,7 +36,11 @@ where
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
     let lines = tracing_subscriber::fmt::layer().with_writer(writer);
     let lines = match format {
-        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).boxed(),
+        // Module names help those who asked for more than warnings.
+        LogFormat::Text => lines
+            .with_ansi(std::io::stderr().is_terminal())
+            .with_target(verbosity > 0 || std::env::var_os(EnvFilter::DEFAULT_ENV).is_some())
+            .boxed(),
         LogFormat::Json => lines.json().boxed(),
     };
     let subscriber = tracing_subscriber::registry()

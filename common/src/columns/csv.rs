@@ -7,6 +7,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 
 use super::data::{ColumnData, RowCollector, column_index};
 use crate::declare::truncate;
+use crate::digits::count_noun;
 
 /// Reads the columns `wanted` as finite numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
@@ -40,6 +41,14 @@ fn open_csv(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
+fn describe_broken_line(line: u64, error: &csv::Error) -> String {
+    if let csv::ErrorKind::UnequalLengths { expected_len, len, .. } = error.kind() {
+        let columns = count_noun(*len, "column");
+        return format!("line {line} has {columns}; the header has {expected_len}");
+    }
+    format!("line {line} is broken: {error}")
+}
+
 /// Reads the columns `wanted`, of a file with more than `MAX_VALUES` values only `needed_rows`; `parse_cell` converts a
 /// text, given the name of its column and its line.
 fn read_columns<T>(
@@ -66,7 +75,7 @@ fn read_columns<T>(
         match reader.read_record(&mut record) {
             Ok(true) => {}
             Ok(false) => return Ok(collector.finish()),
-            Err(error) => return Err(format!("line {line} is broken: {error}")),
+            Err(error) => return Err(describe_broken_line(line, &error)),
         }
         let Some(columns) = collector.begin_row(Some(line))? else {
             continue;
@@ -145,7 +154,7 @@ mod tests {
             ("a,b\n1,2\n", "its columns are `a`, `b`"),
             ("x,y\n1,2\n3,oops\n", "line 3, column `y`: \"oops\""),
             ("x,y\n\n1,2\n\n3,oops\n", "line 5, column `y`: \"oops\""),
-            ("x,y\n1,2\n3\n", "line 3 is broken"),
+            ("x,y\n1,2\n3\n", "line 3 has 1 column; the header has 2"),
             ("x,y\n1,nan\n", "line 2, column `y`"),
             ("x,y,x\n1,2,3\n", "has more than one column `x`"),
         ] {

@@ -169,8 +169,10 @@ impl NameCheck<'_, '_> {
             .field_paths()
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
-        let here: Vec<String> = valid.iter().map(|known| join_path(path, known)).collect();
-        let candidates = elsewhere.iter().chain(&here).map(String::as_str);
+        // Of equally near names, the one at the same place is meant; in a list it has the name of the item.
+        let parent = shown_path.rsplit_once('.').map_or("", |(parent, _)| parent);
+        let here: Vec<String> = valid.iter().map(|known| join_path(parent, known)).collect();
+        let candidates = here.iter().chain(&elsewhere).map(String::as_str);
         let is_policy = self.declaration.registered.iter().any(|word| word.name == name);
         let hint = if is_policy {
             format!("; the policy `{name}` has no fields")

@@ -173,7 +173,7 @@ fn messages_on_a_class_name_the_class() {
         ),
         (
             two_classes("share = 0.5\nenergy.etx = 2"),
-            "unknown field `class.b.energy.etx`; did you mean `e",
+            "unknown field `class.b.energy.etx`; did you mean `class.b.energy.e_tx`?",
         ),
         (
             "[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"a\"\nshare = 0.5".to_owned(),
