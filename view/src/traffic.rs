@@ -67,7 +67,7 @@ impl TrafficStats {
         }
     }
 
-    /// Extends the range of TTIs by those of `frame`.
+    /// Adds the TTIs of `frame` to the range.
     fn cover(&mut self, frame: &Frame) {
         // The TTI of an emulation message can be one after the last, when the base station collects the ledgers.
         if frame.kind.plane() == Plane::Emu {
