@@ -20,7 +20,8 @@ pub enum LogFormat {
 
 /// Sends log lines to `writer`, which must end at standard error: standard output carries results. Text has colours if
 /// standard error is a terminal. `RUST_LOG` sets the filter. Without it `verbosity` does: 0 warnings, 1 information, 2
-/// debugging, 3 and above everything, zenoh's own lines included. `extra` sees events whatever the filter.
+/// debugging, 3 and above everything, zenoh's own lines included. Without either, text does not name the modules.
+/// `extra` sees events whatever the filter.
 pub fn init<W, L>(verbosity: u8, format: LogFormat, writer: W, extra: Option<L>)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
@@ -36,7 +37,6 @@ where
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
     let lines = tracing_subscriber::fmt::layer().with_writer(writer);
     let lines = match format {
-        // Module names help those who asked for more than warnings.
         LogFormat::Text => lines
             .with_ansi(std::io::stderr().is_terminal())
             .with_target(verbosity > 0 || std::env::var_os(EnvFilter::DEFAULT_ENV).is_some())

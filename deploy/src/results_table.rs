@@ -253,7 +253,7 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
-/// Formats the measured energy of all devices as an equation of rounded numbers, and says if it fails in micro-units.
+/// Formats the measured energy of all devices as an equation of rounded numbers. `≠` marks an imbalance in micro-units.
 fn format_energy_balance(energy: &DeviceTotals) -> String {
     let DeviceTotals {
         initial,

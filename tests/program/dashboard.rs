@@ -205,6 +205,11 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
         message["hex"].as_str().map(str::len),
         first_report["bytes"].as_u64().map(|bytes| 2 * bytes as usize)
     );
+    let heat = page.get("/api/heat/100");
+    assert_eq!(
+        (&heat["tti"], heat["looks"].as_array().map(Vec::len)),
+        (&100.into(), Some(20))
+    );
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
     // At 10 ms per TTI, 20 TTIs take at least 200 ms; the margin covers the TTI that was due already.
@@ -447,10 +452,23 @@ fn untrusted_clients_are_refused() {
         let (actual_status, body) = page.request("POST", "/api/clock/resume", &headers);
         assert_eq!(actual_status, expected_status, "{headers:?}: {body}");
     }
-    assert_eq!(page.request("GET", "/api/clock/resume", &[token]).0, 405);
-    assert_eq!(page.request("POST", "/api/clock/leap", &[token]).0, 400);
+    for (method, path, expected_status, error) in [
+        ("GET", "/api/clock/resume", 405, "use POST for commands"),
+        ("POST", "/api/clock/leap", 400, "unknown clock command"),
+        ("POST", "/api/clock/step?m=5", 400, "unknown field `m`"),
+        ("POST", "/api/clock/step?n=x", 400, "parameters: n: invalid digit"),
+        ("GET", "/api/now?tti=5", 400, "/api/now has no parameters"),
+        ("GET", "/api/tti/x", 400, "annot parse `x`"),
+        ("GET", "/api/heat/5", 404, "TTI 5 is not in memory"),
+        ("GET", "/api/other/heat/5", 404, "no other run"),
+        ("GET", "/api/messages?kind=nothing", 400, "nothing"),
+    ] {
+        let (status, body) = page.request(method, path, &[token]);
+        let body: serde_json::Value = serde_json::from_str(&body).expect(&body);
+        let is_named = body["error"].as_str().is_some_and(|text| text.contains(error));
+        assert!(status == expected_status && is_named, "{path}: {status}, {body}");
+    }
     assert_eq!(page.request("GET", "/api/now", &[("Host", "evil.example")]).0, 421);
-    assert_eq!(page.request("GET", "/api/messages?kind=nothing", &[]).0, 400);
     assert_eq!(page.request("GET", "/../Cargo.toml", &[]).0, 404);
     assert!(
         page.get("/api/clock")["text"]

@@ -506,3 +506,18 @@ fn a_signal_ends_the_trials() {
     let finished = trials.finish_within(Duration::from_secs(10));
     assert!(!finished.is_success() && finished.stdout.is_empty(), "{finished}");
 }
+
+#[test]
+fn a_run_warns_if_its_harvest_does_not_pay_for_sleeping() {
+    let folder = TestFolder::new();
+    for (e_b, warns) in [("0.5", true), ("10", false)] {
+        for command in ["run", "up -P 1"] {
+            let finished = folder.run(&format!(
+                "{command} --quiet -n 8 -k 300 --force --out o --set harvest.e_b={e_b}"
+            ));
+            let has_warning = finished.stderr.contains("WARN the harvest of")
+                && finished.stderr.contains("does not pay for sleeping");
+            assert!(finished.is_success() && has_warning == warns, "{command}: {finished}");
+        }
+    }
+}

@@ -263,7 +263,7 @@ fn invalid_recordings_are_refused() {
         // The messages before the truncation are shown.
         let finished = folder.run(&format!("inspect {command} cut.mcap"));
         assert!(
-            finished.code() == Some(1) && finished.stderr.contains("cut.mcap: is truncated"),
+            finished.code() == Some(1) && finished.stderr.contains("cut.mcap: the recording is truncated"),
             "{finished}"
         );
     }

@@ -156,7 +156,7 @@ impl DeviceMirror {
     ///
     /// # Panics
     /// If a device is past `tti` + 1.
-    pub(crate) fn views_and_totals_at(&mut self, tti: Tti) -> Vec<(DeviceView, DeviceTotals)> {
+    pub fn views_and_totals_at(&mut self, tti: Tti) -> Vec<(DeviceView, DeviceTotals)> {
         self.apply_changes_up_to(tti);
         let view_and_totals = |machine: &mut Machine| {
             begin(machine, tti);
@@ -196,14 +196,7 @@ impl DeviceMirror {
     /// # Panics
     /// If a device is past the current TTI, after `views_at` or `view_at`.
     pub fn ledgers(&self) -> Vec<Ledger> {
-        self.ledgers_until(self.next_tti())
-    }
-
-    /// Ledgers of all devices if the run ended before TTI `end`, which is at most the next TTI, in the order of ids.
-    ///
-    /// # Panics
-    /// If a device is already past `end`.
-    pub fn ledgers_until(&self, end: Tti) -> Vec<Ledger> {
+        let end = self.next_tti();
         // On copies: settling closes the open TTI, and the run may continue.
         let mut machines = self.machines.clone();
         let ledger = |machine: &mut Machine| {
@@ -211,16 +204,6 @@ impl DeviceMirror {
             machine.ledger()
         };
         machines.iter_mut().map(ledger).collect()
-    }
-
-    /// Ledger of `device` if the run ended before TTI `end`, which is at most the next TTI.
-    ///
-    /// # Panics
-    /// If the device is already past `end`.
-    pub fn ledger(&self, device: DeviceId, end: Tti) -> Option<Ledger> {
-        let mut machine = self.machines.get(device.index())?.clone();
-        machine.advance_to(end);
-        Some(machine.ledger())
     }
 
     /// Applies `frame`, whose decoded content is `message`. Frames must come in the order of the run from TTI 0 on.

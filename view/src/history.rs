@@ -202,8 +202,8 @@ impl RunHistory {
         Some(tti_snapshot)
     }
 
-    /// The run with all messages that devices and base station know in TTI `tti`, if available. No device is past the
-    /// end of that TTI, so ledgers until then can be read from it.
+    /// The run with all messages that devices and base station know in TTI `tti`, if available. Its devices can be
+    /// advanced to that TTI.
     pub fn run_until(&self, tti: Tti) -> Option<Reconstruction> {
         let (first, end) = self.available_ttis();
         if tti < first || tti >= end {
@@ -228,8 +228,8 @@ impl RunHistory {
 
     /// Totals of `device` from the start of the run to the end of TTI `tti`, if available.
     pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
-        let run = self.run_until(tti)?;
-        run.mirror().ledger(device, tti + 1).map(|ledger| ledger.whole)
+        let mut devices = self.run_until(tti)?.mirror_mut().views_and_totals_at(tti);
+        (device.index() < devices.len()).then(|| devices.swap_remove(device.index()).1)
     }
 
     /// State and battery of `device` in each available TTI from `from` up to but excluding `end`, in order.

@@ -101,7 +101,7 @@ impl Reconstruction {
     }
 
     /// The mirrored devices, for access that advances them.
-    pub(crate) const fn mirror_mut(&mut self) -> &mut DeviceMirror {
+    pub const fn mirror_mut(&mut self) -> &mut DeviceMirror {
         &mut self.mirror
     }
 

@@ -147,11 +147,39 @@ impl TrafficStats {
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::message::{PlanUpdate, Report, WakeUp};
+    use reveille_common::message::{PlanUpdate, Report, WakeUp, WorldUpdate};
     use reveille_common::plan::Plan;
     use reveille_common::units::Energy;
 
     use super::*;
+
+    #[test]
+    fn bounds_limit_the_messages_and_cut_the_grants() {
+        let grant = |first, last| {
+            let world = WorldUpdate {
+                first: Tti(first),
+                last: Tti(last),
+                stimulus: None,
+                stimulus_last: Tti(last),
+            };
+            Frame::new(Tti(first), (), &world)
+        };
+        let frames = [grant(0, 9), grant(10, 23), grant(24, 24)];
+        let count = |since, until| {
+            let mut traffic = TrafficStats::within(Tti(since), until);
+            frames.iter().for_each(|frame| traffic.count(frame));
+            (
+                traffic.kind(MessageKind::World).messages,
+                traffic.ttis(),
+                traffic.tti_range(),
+            )
+        };
+        assert_eq!(count(0, None), (3, 25, Some((Tti(0), Tti(24)))));
+        assert_eq!(count(8, Some(Tti(11))), (1, 4, Some((Tti(8), Tti(11)))));
+        // No message is of these TTIs, but a grant covers them.
+        assert_eq!(count(12, Some(Tti(20))), (0, 9, Some((Tti(12), Tti(20)))));
+        assert_eq!(count(25, None), (0, 0, None));
+    }
 
     #[test]
     fn messages_are_counted_by_kind_plane_and_device() {

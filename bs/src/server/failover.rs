@@ -66,8 +66,10 @@ struct PendingTakeover {
     assignment: Assignment,
     /// The name of its process, which can have several hosts.
     process: String,
-    /// The time at which the process was lost.
+    /// The time at which the host was lost.
     lost_at: Instant,
+    /// The time at which the first of the lost hosts of the process was lost.
+    process_lost_at: Instant,
     /// The time of the last warning about the loss.
     warned_at: Option<Instant>,
     /// The TTI for which a replay was requested, if any.
@@ -94,7 +96,8 @@ impl LostHosts {
         self.pending.push(PendingTakeover {
             assignment,
             process: process.to_owned(),
-            lost_at: self.pending_of(process).map_or(now, |first| first.lost_at),
+            lost_at: now,
+            process_lost_at: self.pending_of(process).map_or(now, |first| first.process_lost_at),
             warned_at: None,
             replay_tti: None,
             checkpoint: None,
@@ -238,7 +241,7 @@ impl LostHosts {
         let takeover = self.pending.swap_remove(index);
         if self.pending_of(&takeover.process).is_none() {
             self.loss_durations
-                .push(now.saturating_duration_since(takeover.lost_at));
+                .push(now.saturating_duration_since(takeover.process_lost_at));
         }
         takeover
     }

@@ -44,7 +44,7 @@ fn open_csv(bytes: &[u8]) -> csv::Reader<&[u8]> {
 fn describe_broken_line(line: u64, error: &csv::Error) -> String {
     if let csv::ErrorKind::UnequalLengths { expected_len, len, .. } = error.kind() {
         let columns = count_noun(*len, "column");
-        return format!("line {line} has {columns}; the header has {expected_len}");
+        return format!("line {line} has {columns}, the header {expected_len}; complete or remove the line");
     }
     format!("line {line} is broken: {error}")
 }
@@ -154,7 +154,7 @@ mod tests {
             ("a,b\n1,2\n", "its columns are `a`, `b`"),
             ("x,y\n1,2\n3,oops\n", "line 3, column `y`: \"oops\""),
             ("x,y\n\n1,2\n\n3,oops\n", "line 5, column `y`: \"oops\""),
-            ("x,y\n1,2\n3\n", "line 3 has 1 column; the header has 2"),
+            ("x,y\n1,2\n3\n", "line 3 has 1 column, the header 2; complete"),
             ("x,y\n1,nan\n", "line 2, column `y`"),
             ("x,y,x\n1,2,3\n", "has more than one column `x`"),
         ] {

@@ -169,8 +169,8 @@ impl NameCheck<'_, '_> {
             .field_paths()
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
-        // Of equally near names, the one at the same place is meant; in a list it has the name of the item.
-        let parent = shown_path.rsplit_once('.').map_or("", |(parent, _)| parent);
+        // Comes first: of equally near names, users mean the field of the same section, here with the item's name.
+        let parent = shown_path.strip_suffix(name).unwrap_or_default().trim_end_matches('.');
         let here: Vec<String> = valid.iter().map(|known| join_path(parent, known)).collect();
         let candidates = here.iter().chain(&elsewhere).map(String::as_str);
         let is_policy = self.declaration.registered.iter().any(|word| word.name == name);

@@ -26,7 +26,7 @@ use reveille_view::metrics::{HostLabels, ProcessStats};
 
 use super::device::split_process_name;
 use super::inspect::source::device_groups;
-use super::resolve_scenario::resolve_started_run;
+use super::resolve_scenario::{resolve_started_run, warn_about_depletion};
 use super::resume::{self, ResumePlan};
 use super::{print_results, window_length};
 use crate::audit::{self, Auditor, device_owner_clause};
@@ -68,6 +68,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
+    warn_about_depletion(&scenario);
     let earlier = SavedAddress::of_resumed(args.output.resume.as_deref());
     // Without --resume, --run is required.
     let resumed_folder = args.output.resume.as_deref().unwrap_or(Path::new(""));

@@ -67,7 +67,11 @@ pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &P
         let resume_hint = if summary.status == "complete" {
             String::new()
         } else {
-            format!("; resume the run with --resume {}", display::shell_word(folder))
+            let command = if summary.timing.hosts > 0 { "up" } else { "run" };
+            format!(
+                "; resume with `reveille {command} --resume {}`",
+                display::shell_word(folder)
+            )
         };
         display::print_stdout(&format!("results in {}{resume_hint}\n", folder.display()))?;
         if summary.totals.events.misdetected > 0 {

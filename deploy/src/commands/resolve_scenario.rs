@@ -34,11 +34,7 @@ pub(super) fn resolve_started_run(
     output: &OutputArgs,
 ) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
     let Some(folder) = &output.resume else {
-        let (scenario, recorded_inputs) = resolve_new_run(args)?;
-        for warning in EnergyBalance::new(&scenario).depletion_warnings() {
-            tracing::warn!("{warning}");
-        }
-        return Ok((scenario, recorded_inputs));
+        return resolve_new_run(args);
     };
     if args.is_given() {
         anyhow::bail!(
@@ -54,6 +50,13 @@ pub(super) fn resolve_started_run(
         );
     }
     Ok((load_with_external(&path.to_string_lossy(), &[])?.scenario, None))
+}
+
+/// Logs a warning about each device class whose batteries run down under every policy.
+pub(super) fn warn_about_depletion(scenario: &Scenario) {
+    for warning in EnergyBalance::new(scenario).depletion_warnings() {
+        tracing::warn!("{warning}");
+    }
 }
 
 /// Returns the scenario of a run that does not resume, and the inputs in the log of `--policy replay=FILE`, if given.

@@ -20,7 +20,7 @@ use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions, StopWhen};
 use reveille_view::metrics::ProcessStats;
 
-use super::resolve_scenario::{read_log_of_run, resolve_started_run, with_scenario_of_log};
+use super::resolve_scenario::{read_log_of_run, resolve_started_run, warn_about_depletion, with_scenario_of_log};
 use super::{print_results, window_length};
 use crate::child_process;
 use crate::cli::RunArgs;
@@ -47,6 +47,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Read before the folder is created: a log that does not match leaves no folder behind.
     let given_inputs = read_given_inputs(args, &scenario, recorded_inputs)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
+    warn_about_depletion(&scenario);
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
         Some(_) => resume_mark::read(folder.path(), &scenario)?,

@@ -15,7 +15,7 @@ use reveille_device::host::{self, HostConfig, HostError};
 
 use super::bs::{RunService, serve_run, server_settings};
 use super::device::CHILD_PATIENCE;
-use super::resolve_scenario::resolve_started_run;
+use super::resolve_scenario::{resolve_started_run, warn_about_depletion};
 use super::window_length;
 use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
@@ -57,6 +57,7 @@ pub(crate) async fn run(args: &UpArgs, log_options: &[String]) -> anyhow::Result
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
     bus::resolve_listen_endpoint(listen)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
+    warn_about_depletion(&scenario);
     let folder = RunFolder::create(&args.output, &scenario)?;
     match open_bus(args, (&earlier, listen), processes, &folder).await {
         Ok((bus, run, run_id)) => {

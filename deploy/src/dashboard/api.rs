@@ -43,6 +43,17 @@ const MAX_HISTORY_TTIS: u64 = 5_000;
 /// Most concurrent readers of the history.
 const MAX_READERS: usize = 2;
 
+/// The start of each path whose requests have parameters; their handlers refuse unknown ones.
+const PARAMETERISED: [&str; 7] = [
+    "/api/messages",
+    "/api/device/",
+    "/api/timeline",
+    "/api/events",
+    "/api/miss",
+    "/api/clock/",
+    "/api/act/",
+];
+
 /// State shared by all request handlers.
 #[derive(Clone)]
 pub(super) struct ApiState {
@@ -124,7 +135,7 @@ impl IntoResponse for ApiError {
     }
 }
 
-/// The parameters of a request. Unlike [`Query`], it answers errors like every other one.
+/// The parameters of a request. Unlike [`Query`], it returns an [`ApiError`].
 pub(super) struct Params<T>(pub(super) T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
@@ -134,11 +145,16 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
         let query = Query::try_from_uri(&parts.uri);
         query
             .map(|Query(params)| Self(params))
-            .map_err(|error| ApiError(error.status(), error.body_text()))
+            .map_err(|error| ApiError(error.status(), format!("parameters: {}", cause_of(&error))))
     }
 }
 
-/// A part of the path of a request. Unlike [`Path`], it answers errors like every other one.
+/// The innermost cause of `error`, such as the parameter and what is wrong with it.
+fn cause_of(error: &dyn std::error::Error) -> String {
+    error.source().map_or_else(|| error.to_string(), cause_of)
+}
+
+/// A part of the path of a request. Unlike [`Path`], it returns an [`ApiError`].
 pub(super) struct PathPart<T>(pub(super) T);
 
 impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for PathPart<T> {
@@ -150,11 +166,6 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for PathPar
             .map_err(|error| ApiError(error.status(), error.body_text()))
     }
 }
-
-/// No parameters.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct NoParams {}
 
 /// Passes on allowed requests only.
 pub(super) async fn check_request(State(served): State<ApiState>, request: Request, next: Next) -> Response {
@@ -196,11 +207,18 @@ fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
     let has_token =
         header_text(TOKEN_HEADER).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
     let why = || {
-        "the token is missing or wrong; open the address that the program printed, or send its part after `#` in the header \
-         x-reveille-token"
+        "the token is missing or wrong; open the address that the program printed, or send its part after `#` in the \
+         header x-reveille-token"
             .to_owned()
     };
-    (!needs_no_token && !has_token).then(|| ApiError(StatusCode::UNAUTHORIZED, why()))
+    if !needs_no_token && !has_token {
+        return Some(ApiError(StatusCode::UNAUTHORIZED, why()));
+    }
+    // An ignored parameter would return another TTI than the requested one.
+    let path = request.uri().path();
+    let has_parameters = request.uri().query().is_some_and(|query| !query.is_empty());
+    let is_parameterless = !is_page && !PARAMETERISED.iter().any(|start| path.starts_with(start));
+    (has_parameters && is_parameterless).then(|| ApiError(StatusCode::BAD_REQUEST, format!("{path} has no parameters")))
 }
 
 pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
@@ -211,7 +229,7 @@ pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
     Json(about)
 }
 
-pub(super) async fn now(State(served): State<ApiState>, Params(NoParams {}): Params<NoParams>) -> Json<Value> {
+pub(super) async fn now(State(served): State<ApiState>) -> Json<Value> {
     Json(served.feed.current_json())
 }
 

@@ -400,12 +400,12 @@ impl Feed {
     /// `None` if the TTI is not available.
     pub(crate) fn heat_json(&self, tti: Tti) -> Option<Value> {
         let state = self.lock();
-        let run = state.history.run_until(tti)?;
+        let mut run = state.history.run_until(tti)?;
         let (near_counts, near_miss_counts) = state.events.counts_until(tti);
-        // The ledgers of many devices take long, and the run's frames wait for this lock.
+        // The totals of many devices take long, and the run's frames wait for this lock.
         drop(state);
-        let ledgers = run.mirror().ledgers_until(tti + 1);
-        let sensing_ttis: Vec<u64> = ledgers.iter().map(|ledger| ledger.whole.sensing_ttis).collect();
+        let devices = run.mirror_mut().views_and_totals_at(tti);
+        let sensing_ttis: Vec<u64> = devices.iter().map(|(_, totals)| totals.sensing_ttis).collect();
         Some(json!({ "tti": tti, "looks": sensing_ttis, "events": near_counts, "misses": near_miss_counts }))
     }
 
@@ -523,6 +523,8 @@ mod tests {
 
     use reveille_bs::observer::frames::FrameObserver;
     use reveille_bs::scenario::{Override, load};
+    use reveille_common::message::{Change, DeviceRange, OperatorAction};
+    use reveille_lab::external_inputs::ExternalInput;
     use reveille_lab::preparation::prepare;
     use reveille_lab::run::{Run, RunOptions};
 
@@ -541,9 +543,30 @@ mod tests {
             }
             feed.apply(frame);
         };
-        Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, on_frame));
+        let mut run = Run::new(&prepare(&scenario), RunOptions::default());
+        // The failure begins with a TTI inside a grant.
+        run.schedule_input(ExternalInput::Action(OperatorAction {
+            tti: Tti(380),
+            change: Change::Fail(DeviceRange {
+                first: DeviceId(0),
+                count: 12,
+            }),
+        }));
+        run.finish(&mut FrameObserver::new(0, on_frame));
         let positions = Deployment::new(&scenario).positions();
-        for tti in [0, 400, 777, 1499] {
+        // From TTI 0 to each TTI, a device senses when it is awake by plan and has power.
+        let mut counts = vec![0_u64; 12];
+        let sensing_ttis: Vec<Vec<u64>> = (0..1500)
+            .map(|tti| {
+                let snapshot = feed.history(|history| history.snapshot_at(Tti(tti)).expect("an available TTI"));
+                for ((count, view), is_on) in counts.iter_mut().zip(&snapshot.views).zip(&snapshot.planned_on) {
+                    let is_awake = !matches!(view.state, DeviceState::Sleep { .. } | DeviceState::Failed);
+                    *count += u64::from(*is_on && is_awake);
+                }
+                counts.clone()
+            })
+            .collect();
+        for tti in (370..410).chain([0, 200, 777, 1499]) {
             let heat = feed.heat_json(Tti(tti)).expect("an available TTI");
             let (mut near_counts, mut near_miss_counts) = (vec![0; 12], vec![0; 12]);
             for record in records.iter().filter(|record| record.last.0 <= tti) {
@@ -555,13 +578,13 @@ mod tests {
             }
             assert_eq!(heat["events"], json!(near_counts), "TTI {tti}");
             assert_eq!(heat["misses"], json!(near_miss_counts), "TTI {tti}");
-            let sensing_ttis = |id| feed.history(|history| history.totals(DeviceId(id), Tti(tti)));
-            let sensing_ttis: Vec<u64> = (0..12)
-                .map(|id| sensing_ttis(id).expect("an available TTI").sensing_ttis)
-                .collect();
-            assert_eq!(heat["looks"], json!(sensing_ttis), "TTI {tti}");
+            assert_eq!(heat["looks"], json!(sensing_ttis[tti as usize]), "TTI {tti}");
         }
         assert!(records.iter().any(|record| record.last.0 > 777), "no late event");
+        assert!(
+            sensing_ttis[379].iter().sum::<u64>() > 200,
+            "the devices sense before they fail"
+        );
         assert_eq!(feed.heat_json(Tti(1500)), None);
     }
 

@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Path as UrlPath, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use rustix::fs::OFlags;
 use serde_json::{Value, json};
 
-use super::api::{ApiError, ApiResult, ApiState};
+use super::api::{ApiError, ApiResult, ApiState, PathPart};
 use crate::recording::RECORDING_EXTENSION;
 use crate::run_folder::is_result_file;
 use crate::scenario_files;
@@ -126,7 +126,7 @@ pub(super) async fn files(State(served): State<ApiState>) -> ApiResult {
 /// Serves the content of a file.
 pub(super) async fn file(
     State(served): State<ApiState>,
-    UrlPath(name): UrlPath<String>,
+    PathPart(name): PathPart<String>,
 ) -> Result<impl IntoResponse, ApiError> {
     let path = path_of(&served)?;
     let what = format!("{name} in {}", path.display());

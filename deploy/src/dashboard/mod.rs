@@ -94,7 +94,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     let no_page = || async {
         api::ApiError(
             StatusCode::NOT_FOUND,
-            "no such page; docs/watching.md lists them".to_owned(),
+            "no such page; docs/watching.md lists the main ones".to_owned(),
         )
     };
     let no_method = || async {

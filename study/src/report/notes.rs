@@ -42,7 +42,7 @@ pub(super) fn summarise_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     report.columns.iter().enumerate().map(sentence).collect()
 }
 
-/// Describes the number of runs of each column, and a column with one N.
+/// Describes the number of runs of each column. A second sentence names N if all runs have the same.
 pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
     let sentence = |column: &super::ConditionColumn<'_>| {
         let condition = column.condition;

@@ -8,14 +8,15 @@ import { isVisible, onAppear, sizeOf } from "./visibility.js";
 
 const DASHES = [[], [7, 3], [2, 2.5]];
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
-// Values above this quantile count as a peak if the highest one is `PEAK` times as high; few values have no peak.
+// Values above this quantile of their line are a peak if the highest one is `PEAK` times as high. Few values have no peak.
 const USUAL = 0.95, PEAK = 3, FEW = 40;
 
-// The upper end of the axis: above all values, or only above the usual ones if a short peak would flatten them.
-function axisEnd(values, canCut) {
-  const sorted = Float64Array.from(values).sort(), most = sorted.at(-1) ?? 0;
-  const usual = sorted[Math.floor(USUAL * (sorted.length - 1))] ?? 0;
-  const hasPeak = canCut && sorted.length >= FEW && usual > 0 && most > PEAK * usual;
+// The upper end of the axis: above all values, or only above the usual ones of every line if a short peak would flatten them.
+function axisEnd(lines, canCut) {
+  const sorted = lines.map((values) => Float64Array.from(values).sort());
+  const most = Math.max(0, ...sorted.map((values) => values.at(-1) ?? 0));
+  const usual = Math.max(0, ...sorted.map((values) => (values.length < FEW ? values.at(-1) : values[Math.floor(USUAL * (values.length - 1))]) ?? 0));
+  const hasPeak = canCut && usual > 0 && most > PEAK * usual;
   return { end: 1.06 * (hasPeak ? 1.5 * usual : most) || 1, peak: hasPeak ? most : null };
 }
 
@@ -101,12 +102,12 @@ export class Chart {
   // The curves and the axes, which change less often than the pointer.
   paintGround(width, height) {
     const { canvas, draw } = hiddenCanvas(width, height);
-    const values = this.runs.flatMap(({ points }) => points.flatMap(([, all]) => all)).filter((value) => value !== null && value !== undefined);
-    const hasValues = values.length > 0, bottom = height - MARGIN.bottom;
-    const { end: most, peak } = this.most ? { end: this.most, peak: null } : axisEnd(values, !this.isLog);
+    const lines = this.runs.flatMap(({ points }) => this.series.map((_, nth) => points.map(([, all]) => all[nth]).filter((value) => value !== null && value !== undefined)));
+    const hasValues = lines.some((values) => values.length), bottom = height - MARGIN.bottom;
+    const { end, peak } = this.most ? { end: this.most, peak: null } : axisEnd(lines, !this.isLog);
     const size = this.isLog ? Math.log1p : (value) => value;
-    const y = (value) => bottom - (size(value) / size(most)) * (bottom - MARGIN.top);
-    const marks = this.isLog && most >= 10 ? decades(most) : ticks(0, most, Math.max(2, Math.floor(height / 42)));
+    const y = (value) => bottom - (size(value) / size(end)) * (bottom - MARGIN.top);
+    const marks = this.isLog && end >= 10 ? decades(end) : ticks(0, end, Math.max(2, Math.floor(height / 42)));
     draw.font = "11px system-ui, sans-serif";
     draw.lineWidth = 1;
     draw.textBaseline = "middle";
@@ -122,6 +123,7 @@ export class Chart {
     }
     this.decorate?.(draw, bottom);
     this.paintTtis(draw, width, bottom);
+    draw.save();
     draw.beginPath();
     draw.rect(MARGIN.left, MARGIN.top - 4, width - MARGIN.left, bottom + 5 - MARGIN.top);
     draw.clip();
@@ -142,7 +144,7 @@ export class Chart {
         draw.stroke();
       });
     }
-    draw.setLineDash([]);
+    draw.restore();
     if (peak !== null) this.paintPeak(draw, width, peak);
     this.y = y;
     return { canvas, hasValues };

@@ -18,6 +18,7 @@ let chart, ledger = [], requested = 0;
 // Paints the states as a band at the foot of the chart.
 function paintStates(draw, { from, band }, bottom) {
   band.forEach((state, nth) => {
+    if (!state) return;
     const x = Math.round(chart.x(from + nth)), height = { unpowered: 5, out: 3 }[state] ?? 10;
     draw.fillStyle = ink(STATES[state].colour);
     draw.fillRect(x, bottom - height, Math.max(Math.round(chart.x(from + nth + 1)) - x, 1), height);
@@ -58,7 +59,8 @@ export async function showDevice() {
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });
-  chart.history = { from: history.from, band: Array.from(flags, stateOf) };
+  // TTIs that have left the memory have no flags.
+  chart.history = { from, band: Array.from(flags, (of) => (of ? stateOf(of) : null)) };
   const seen = Object.keys(STATES).filter((name) => chart.history.band.includes(name));
   byId("state-legend").replaceChildren(...seen.map((name) => stateEntry(name, name === "woken" ? "wake-up sent" : undefined)));
   chart.most = run.e_max[device] * 1.04;

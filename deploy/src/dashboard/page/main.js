@@ -60,7 +60,7 @@ async function show(tti) {
   page.moment = moment;
   if (page.other) page.other.moment = other;
   schedulePaint();
-  report(mapPanel.refreshHeat().then(schedulePaint));
+  mapPanel.refreshHeat();
   report(showDevice());
   if (byId("filters").here.checked) report(showMessages());
 }

@@ -18,7 +18,7 @@ export class MapGround {
 
   // The painted ground; the same canvas until something on it changes.
   canvas(width, height, layer, heat, moment) {
-    const version = layer === "battery" ? moment.tti : heat && `${heat.tti} ${heat.most}`;
+    const version = layer === "battery" ? moment.tti : heat?.version;
     const key = [width, height, devicePixelRatio, ink("--line"), layer, version].join();
     if (this.key !== key) {
       this.key = key;

@@ -43,7 +43,10 @@ export class MapPanel {
     if (!run.groups) layer.querySelector("[value=cluster]").remove();
     if (run.classes.length < 2) layer.querySelector("[value=class]").remove();
     layer.selectedIndex = 0;
-    layer.onchange = () => this.refreshHeat().then(() => this.paint());
+    layer.onchange = () => {
+      this.paint();
+      this.refreshHeat();
+    };
     for (const canvas of [byId("map"), byId("other-map")]) canvas.onclick = (event) => onChooseDevice(this.map.nearest(event));
     addExport(byId("place-title").parentElement, { name: "map", title: "Devices", canvas: () => byId("map"), rows: () => this.rows(), legend: byId("legend") });
   }
@@ -52,21 +55,26 @@ export class MapPanel {
     return byId("layer").value;
   }
 
-  // Gets the sums up to the shown TTI, of this and of the other run, if a layer shows them.
+  // Gets the sums up to the shown TTI, of this and of the other run, if a layer shows them, and paints them.
   async refreshHeat() {
     const { tti, other } = page;
     if (!(this.layer in SUMS) || page.now.next <= page.now.first) return;
+    // Only the latest TTI can still change.
+    if (this.heats[0]?.tti === tti && tti < page.now.next - 1) return;
     const own = ++this.requested;
-    // The other run can end earlier.
-    const heats = await Promise.all([get(`api/heat/${tti}`), other && get(`api/other/heat/${tti}`).catch(() => null)]);
-    if (own === this.requested) this.heats = heats;
+    // A TTI can leave the memory, and the other run can end earlier.
+    const sums = (of) => get(`api/${of}heat/${tti}`).catch(() => null);
+    const heats = await Promise.all([sums(""), other && sums("other/")]);
+    if (own !== this.requested) return;
+    this.heats = heats.map((heat) => heat && { ...heat, version: own });
+    this.paint();
   }
 
   // The sums of the layer for both maps, on one scale.
   get layerHeats() {
     if (!(this.layer in SUMS)) return [null, null];
     const most = Math.max(0, ...this.heats.filter(Boolean).map((heat) => heat[this.layer].reduce((a, b) => Math.max(a, b), 0)));
-    return this.heats.map((heat) => heat && { values: heat[this.layer], most, tti: heat.tti });
+    return this.heats.map((heat) => heat && { values: heat[this.layer], most, tti: heat.tti, version: heat.version });
   }
 
   paint() {
@@ -86,7 +94,7 @@ export class MapPanel {
   }
 
   showLegend(heat) {
-    const { run } = page, key = [this.layer, this.hasBelief, ink("--ink"), heat?.tti, heat?.most].join();
+    const { run } = page, key = [this.layer, this.hasBelief, ink("--ink"), heat?.version].join();
     if (this.legendKey === key) return;
     this.legendKey = key;
     const entry = (mark, text) => element("span", {}, mark, text);
@@ -118,7 +126,7 @@ export class MapPanel {
   }
 
   rows() {
-    const { run, moment } = page, symbols = symbolsOf(moment), [heat] = this.heats;
+    const { run, moment } = page, symbols = symbolsOf(moment), heat = this.heats[0]?.tti === moment.tti ? this.heats[0] : null;
     return [
       ["device", "x_m", "y_m", "class", "cluster", "state", "battery_units", "plan_senses", ...(heat ? ["sensing_ttis", "near_events", "near_misses"] : [])],
       ...run.positions.map(({ x, y }, device) => [
