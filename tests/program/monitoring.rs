@@ -8,7 +8,7 @@
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
-use reveille_tests::process::{Process, TestFolder, assert_refused, unique_run};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, free_endpoint, unique_run, wait_until};
 use rustix::process::Signal;
 
 /// Requests `path` from `address` with `Host: host_header`, and returns the answer, from its status line to its body.
@@ -79,6 +79,33 @@ fn next_tti_and_battery(address: &str) -> (f64, f64) {
             .unwrap_or_else(|| panic!("{name}: {answer}"))
     };
     (value("reveille_next_tti"), value("reveille_battery_mean_units"))
+}
+
+#[test]
+fn a_run_that_waits_for_a_lost_host_does_not_count_it_as_alive() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("lost"), free_endpoint());
+    let bs = folder.start(&format!(
+        "bs -n 20 -k 6000 --pace 5ms --quiet --out o --run {run} --listen {endpoint} --metrics 127.0.0.1:0"
+    ));
+    let hosts = [0, 1].map(|_| {
+        let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 10"));
+        host.wait_for_stderr("joined");
+        host
+    });
+    folder.wait_for_tti(&run, 10);
+    let address = metrics_address(&bs);
+    let wait_for_alive = |number: u32| {
+        let line = format!("reveille_hosts_alive {number}\n");
+        wait_until(&line, PATIENCE, || {
+            get(&address, "/metrics", &address).contains(&line).then_some(())
+        });
+    };
+    wait_for_alive(2);
+    hosts[1].signal(Signal::KILL);
+    bs.wait_for_stderr("the run is waiting");
+    wait_for_alive(1);
+    bs.signal(Signal::INT);
+    bs.finish();
 }
 
 /// Without harvest and almost without events, a device that is always sensing spends one unit in each TTI.

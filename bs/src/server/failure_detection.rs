@@ -71,6 +71,8 @@ impl RunLoop<'_> {
                 return Ok(());
             }
         }
+        // The run makes no progress while it waits.
+        self.publish_active_hosts(state);
         for (assignment, duration) in state.lost_hosts.take_due_warnings(now) {
             let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);
             let name = state.admission.host_name(host);

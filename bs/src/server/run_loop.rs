@@ -400,21 +400,21 @@ impl RunLoop<'_> {
             .progress
             .misdetected
             .store(event_totals.misdetected, Ordering::Relaxed);
-        let active_hosts = {
-            let mut state = self.context.shared.lock();
-            let remaining_hosts = state.barrier.roster_mut().active_host_count();
-            remaining_hosts.saturating_sub(state.lost_hosts.assignments().count())
-        };
-        self.context
-            .progress
-            .active_host_count
-            .store(active_hosts as u64, Ordering::Relaxed);
+        self.publish_active_hosts(&mut self.context.shared.lock());
         self.context
             .progress
             .late_ttis
             .store(self.lateness.late_ttis, Ordering::Relaxed);
         let max_late_ns = self.lateness.max_delay.as_nanos() as u64;
         self.context.progress.max_late_ns.store(max_late_ns, Ordering::Relaxed);
+    }
+
+    /// Writes the number of hosts that are not lost to [`RunProgress`].
+    pub(super) fn publish_active_hosts(&self, state: &mut ServerState) {
+        let remaining_hosts = state.barrier.roster_mut().active_host_count();
+        let active_hosts = remaining_hosts.saturating_sub(state.lost_hosts.assignments().count());
+        let progress = self.context.progress;
+        progress.active_host_count.store(active_hosts as u64, Ordering::Relaxed);
     }
 
     /// Waits until `first` is due, under a real-time pace.

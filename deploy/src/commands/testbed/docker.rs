@@ -155,8 +155,9 @@ impl Docker {
         let found = self.output(&["image", "inspect", image])?.status.success();
         ensure!(
             found,
-            "image {image}: not found; build it in a clone of Reveille with `docker compose build bs` (see \
-             deploy/docker/README.md), or name another image in testbed.toml"
+            "image {image}: not found; build it in a clone of Reveille with `docker compose build bs`, or \
+             without a registry with deploy/docker/build-prebuilt.sh (see deploy/docker/README.md), or name another \
+             image in testbed.toml"
         );
         let own = format!("reveille {}", env!("CARGO_PKG_VERSION"));
         let version = self.run(&["run", "--rm", "--network=none", image, "--version"]);
