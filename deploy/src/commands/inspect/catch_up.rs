@@ -40,7 +40,8 @@ pub(crate) struct CatchUp {
     next_tti: Tti,
     /// Returns whether to stop the replay.
     should_stop: Box<dyn Fn() -> bool + Send>,
-    /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
+    /// Whether the grant open at the connection, or at the last gap, continues: its frames may be incomplete and are not
+    /// passed on.
     is_in_open_grant: bool,
     /// Whether the catch-up is complete, so that received frames are passed on.
     is_over: bool,
@@ -75,9 +76,11 @@ impl CatchUp {
 
     /// Notes that frames were lost before the next received one.
     pub(crate) const fn note_gap(&mut self) {
-        // During the catch-up the replay has them.
         if self.is_over {
             self.passed.note_gap();
+        } else {
+            // The replay has them. The plan of the next grant may be among them, so that grant is replayed too.
+            self.is_in_open_grant = false;
         }
     }
 
@@ -375,7 +378,7 @@ mod tests {
                     );
                 }
             }
-            self.assert_continues_after_gap(scenario, &sent, &expected);
+            self.assert_continues_after_gaps(scenario, &sent, &expected);
             // The connection is lost, and frames with it. A base station that was resumed sends earlier frames again.
             for lost_at in (0..count).step_by(41) {
                 for back_at in [lost_at.saturating_sub(60), lost_at, lost_at + 3, lost_at + 90] {
@@ -404,40 +407,52 @@ mod tests {
     }
 
     impl ReceivedRun {
-        /// Asserts that an observer that lost messages, and then the connection, receives each later TTI once.
-        fn assert_continues_after_gap(&self, scenario: &Scenario, sent: &SentRun<'_>, expected: &[Frame]) {
+        /// Asserts that an observer with random gaps and lost connections receives no frame twice, and all frames after
+        /// the last TTI before the last return. A gap during the catch-up costs no frame.
+        fn assert_continues_after_gaps(&self, scenario: &Scenario, sent: &SentRun<'_>, expected: &[Frame]) {
             let count = self.frames.len();
-            for gap in (40..count - 60).step_by(211) {
+            let mut stream = Stream::new(5, Purpose::Training, 0);
+            let mut below = |limit: usize| stream.below(limit as u64) as usize;
+            for case in 0..40 {
                 let mut observer = Observer::new(scenario);
-                observer.join(sent, 0..gap, false);
-                observer.catch_up.note_gap();
-                observer.receive(sent, gap + 9..gap + 20);
-                observer.catch_up.restart();
-                for back_at in [gap.saturating_sub(30), gap + 40] {
-                    observer.join(sent, back_at..back_at + 1, false);
-                    observer.catch_up.restart();
+                let (mut next, mut is_complete, mut steps) = (below(count), true, Vec::new());
+                observer.join(sent, next..next, false);
+                for _ in 0..6 {
+                    let end = (next + below(50)).min(count - 1);
+                    observer.receive(sent, next..end);
+                    let is_gap = below(2) == 0;
+                    next = if is_gap {
+                        is_complete &= !observer.catch_up.is_over();
+                        observer.catch_up.note_gap();
+                        end + below(20)
+                    } else {
+                        observer.catch_up.restart();
+                        (end + below(90)).saturating_sub(60)
+                    };
+                    next = next.min(count - 1);
+                    steps.push((end, if is_gap { "gap" } else { "connection lost" }, next));
+                    if !is_gap {
+                        observer.join(sent, next..next, false);
+                    }
                 }
-                observer.join(sent, count - 10..count, false);
-                let received: Vec<_> = observer
-                    .received
-                    .iter()
-                    .filter(|frame| frame.kind != MessageKind::World)
-                    .collect();
-                assert!(received.len() < expected.len(), "a gap at frame {gap}");
+                let last_before = observer.received.iter().map(|frame| frame.tti).max();
+                observer.catch_up.restart();
+                observer.join(sent, count - 1..count, false);
+                observer.received.retain(|frame| frame.kind != MessageKind::World);
+                let received = observer.received;
                 // The received frames are a part of the sent ones, in their order.
                 let mut remaining = expected.iter();
                 for frame in &received {
                     assert!(
-                        remaining.any(|sent| sent == *frame),
-                        "a gap at frame {gap}: {frame:?} is repeated"
+                        remaining.any(|sent| sent == frame),
+                        "case {case}: {frame:?} is repeated after {steps:?}"
                     );
                 }
-                let last_before = self.frames[..gap + 20].iter().map(|frame| frame.tti).max();
-                let later = |frame: &Frame| Some(frame.tti) > last_before;
+                let later = |frame: &&Frame| is_complete || Some(frame.tti) > last_before;
                 assert_eq!(
-                    received.iter().filter(|frame| later(frame)).count(),
-                    expected.iter().filter(|frame| later(frame)).count(),
-                    "a gap at frame {gap}"
+                    received.iter().filter(later).count(),
+                    expected.iter().filter(later).count(),
+                    "case {case}: {steps:?}"
                 );
             }
         }

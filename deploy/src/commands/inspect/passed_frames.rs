@@ -15,26 +15,31 @@ pub(super) struct PassedFrames {
     states_end: Tti,
     /// The TTI before which all world frames were passed on.
     world_end: Tti,
-    /// Whether `passed` is too low, because frames were lost.
+    /// Whether `seen` is too low, because frames were lost since the last restart.
     has_gap: bool,
     /// The last TTI of the frames that count in `passed`.
     last_tti: Tti,
-    /// After a gap and a restart: the last TTI of which no further frame is passed on.
+    /// After a gap, until its first later TTI: the last TTI of which no further frame is passed on. The count does not
+    /// show which frames were passed on.
     skipped_until: Option<Tti>,
 }
 
 impl PassedFrames {
     /// The frames come from TTI 0 on again.
     pub(super) const fn restart(&mut self) {
-        self.seen = 0;
         if self.has_gap && self.passed > 0 {
             self.skipped_until = Some(self.last_tti);
         }
+        (self.seen, self.has_gap) = (0, false);
     }
 
-    /// Notes that frames were lost. After the next restart no more frames are passed on for the TTIs of earlier ones.
+    /// Notes that frames were lost. After the next restart no more frames are passed on for the TTIs of earlier ones,
+    /// and before it none while frames are repeated.
     pub(super) const fn note_gap(&mut self) {
         self.has_gap = true;
+        if self.seen < self.passed {
+            self.skipped_until = Some(self.last_tti);
+        }
     }
 
     /// Returns `frame` if it was not passed on before.
@@ -52,8 +57,7 @@ impl PassedFrames {
             return is_new.then_some(frame);
         }
         if self.skipped_until.is_some_and(|last| frame.tti > last) {
-            // From here on the count is the position in the run again.
-            (self.skipped_until, self.has_gap, self.passed) = (None, false, self.seen);
+            (self.skipped_until, self.passed) = (None, self.seen);
         }
         self.seen += 1;
         if self.skipped_until.is_some() || self.seen <= self.passed {
@@ -77,5 +81,53 @@ impl PassedFrames {
             return Some(frame);
         }
         Some(Frame::new(first, (), &WorldUpdate { first, ..world }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::Range;
+
+    use reveille_common::ids::DeviceId;
+    use reveille_common::message::WakeUp;
+
+    use super::*;
+
+    /// Receives frames of a run with two frames in each TTI. Returns the positions of the new ones.
+    fn receive(passed: &mut PassedFrames, positions: Range<u64>) -> Vec<u64> {
+        let frame = |position: u64| {
+            let tti = Tti(position / 2);
+            Frame::new(tti, DeviceId(position as u32), &WakeUp { tti })
+        };
+        positions
+            .filter(|position| passed.filter_new(frame(*position)).is_some())
+            .collect()
+    }
+
+    #[test]
+    fn no_frame_is_repeated_after_a_gap_during_a_skip() {
+        let mut passed = PassedFrames::default();
+        assert_eq!(receive(&mut passed, 0..11), Vec::from_iter(0..11));
+        passed.note_gap();
+        assert_eq!(receive(&mut passed, 14..17), [14, 15, 16]);
+        // The base station returns at an earlier TTI: the rest of TTI 8 is skipped.
+        passed.restart();
+        assert!(receive(&mut passed, 0..14).is_empty());
+        passed.note_gap();
+        assert_eq!(receive(&mut passed, 17..21), [18, 19, 20]);
+        passed.restart();
+        assert_eq!(receive(&mut passed, 0..30), Vec::from_iter(22..30));
+    }
+
+    #[test]
+    fn later_ttis_are_complete_after_a_gap_in_repeated_frames() {
+        let mut passed = PassedFrames::default();
+        assert_eq!(receive(&mut passed, 0..11), Vec::from_iter(0..11));
+        passed.restart();
+        assert!(receive(&mut passed, 0..4).is_empty());
+        passed.note_gap();
+        assert_eq!(receive(&mut passed, 8..16), Vec::from_iter(12..16));
+        passed.restart();
+        assert_eq!(receive(&mut passed, 0..30), Vec::from_iter(16..30));
     }
 }
