@@ -35,6 +35,8 @@ pub(super) struct FrameStream {
     next_frame_number: Option<u64>,
     /// Frames dropped because this reader was too slow.
     pub(super) dropped_frames: u64,
+    /// The part of `dropped_frames` that [`Self::take_unreported_drops`] has returned.
+    reported_drops: u64,
 }
 
 impl FrameStream {
@@ -48,6 +50,7 @@ impl FrameStream {
             is_run_over: false,
             next_frame_number: None,
             dropped_frames: 0,
+            reported_drops: 0,
         }
     }
 
@@ -95,6 +98,13 @@ impl FrameStream {
         self.next_frame_number = Some(batch.first.saturating_add(batch.frames.len() as u64));
         self.note_end(&batch);
         (batch.frames, missing)
+    }
+
+    /// Returns the number of frames dropped since the last call.
+    pub(super) const fn take_unreported_drops(&mut self) -> u64 {
+        let unreported = self.dropped_frames - self.reported_drops;
+        self.reported_drops = self.dropped_frames;
+        unreported
     }
 
     /// Records whether a message of the virtual clock in `batch` ends the run.
@@ -236,6 +246,8 @@ mod tests {
         for (first, last, dropped) in [(3, 4, 0), (7, 7, 2), (8, 9, 0), (5, 6, 0), (10, 10, 3)] {
             bus.send(first, last);
             assert_eq!(next(&mut stream).await, Some(((first..=last).collect(), dropped)));
+            assert_eq!(stream.take_unreported_drops(), dropped);
+            assert_eq!(stream.take_unreported_drops(), 0, "each drop is reported once");
         }
         assert_eq!(stream.dropped_frames, 5);
     }

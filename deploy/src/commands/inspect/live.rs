@@ -211,7 +211,7 @@ impl Live {
             self.run_name
         );
         (self.on_reachability)(true);
-        let dropped = match self.frames.dropped_frames {
+        let dropped = match self.frames.take_unreported_drops() {
             0 => String::new(),
             dropped => format!("; {} dropped before (reader too slow)", count_noun(dropped, "message")),
         };
@@ -263,8 +263,9 @@ impl Live {
     }
 
     /// Passes the frames of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
-    /// when the run ends, a signal comes, or `on_frame` returns false. Dropped messages are counted and reported once.
-    /// If the base station leaves the bus and returns, the messages in between are caught up too.
+    /// when the run ends, a signal comes, or `on_frame` returns false. The first dropped messages are reported
+    /// immediately, later ones when the base station is back. If it leaves the bus and returns, the messages in between
+    /// are caught up too.
     ///
     /// # Errors
     /// If the external inputs of the run cannot be read.
@@ -327,7 +328,8 @@ impl Live {
                 anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
             if self.dropped_frames() > 0 && !has_warned {
-                let (dropped, tti) = (count_noun(self.dropped_frames(), "message"), catch_up.replayed_until());
+                let dropped = count_noun(self.frames.take_unreported_drops(), "message");
+                let tti = catch_up.replayed_until();
                 note!("{dropped} after TTI {tti} dropped (reader too slow)");
                 has_warned = true;
             }
