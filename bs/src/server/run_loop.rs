@@ -22,7 +22,7 @@ use super::error::BsError;
 use super::failover::ReplaySource;
 use super::policy_port::PolicyPort;
 use super::removed_hosts::RemovedHosts;
-use super::state::{SharedState, now};
+use super::state::{ServerState, SharedState, now};
 use crate::cycle::WakeOrder;
 use crate::observer::Observer;
 use crate::policy::external::RecordedDecision;
