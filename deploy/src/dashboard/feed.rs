@@ -405,8 +405,12 @@ impl Feed {
         // The totals of many devices take long, and the run's frames wait for this lock.
         drop(state);
         let devices = run.mirror_mut().views_and_totals_at(tti);
-        let sensing_ttis: Vec<u64> = devices.iter().map(|(_, totals)| totals.sensing_ttis).collect();
-        Some(json!({ "tti": tti, "looks": sensing_ttis, "events": near_counts, "misses": near_miss_counts }))
+        // Without energy, a TTI of δ = 1 is no look.
+        let looks = devices
+            .iter()
+            .map(|(_, totals)| totals.sensing_ttis - totals.failed_ttis);
+        let looks: Vec<u64> = looks.collect();
+        Some(json!({ "tti": tti, "looks": looks, "events": near_counts, "misses": near_miss_counts }))
     }
 
     /// Encodes a part of the timeline; `None` if none of its TTIs is available.

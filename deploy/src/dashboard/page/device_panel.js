@@ -29,7 +29,7 @@ function ledgerRows(totals) {
   return [
     ["initial", significant(totals.initial)], ["+ harvested", significant(totals.harvested)], ["− sensing", significant(totals.sensing)], ["− sleep", significant(totals.sleep)],
     ["− reports", significant(totals.report)], ["− overflow", significant(totals.overflow)], ["= battery", significant(totals.battery)],
-    ["TTIs in S1", totals.sensing_ttis], ["TTIs without energy to sense", totals.failed_ttis], ["TTIs unpowered", totals.unpowered_ttis],
+    ["TTIs of δ = 1", totals.sensing_ttis], ["of these without energy", totals.failed_ttis], ["TTIs unpowered", totals.unpowered_ttis],
   ];
 }
 
