@@ -461,7 +461,7 @@ fn untrusted_clients_are_refused() {
         ("GET", "/api/tti/x", 400, "annot parse `x`"),
         ("GET", "/api/heat/5", 404, "TTI 5 is not in memory"),
         ("GET", "/api/other/heat/5", 404, "no other run"),
-        ("GET", "/api/messages?kind=nothing", 400, "nothing"),
+        ("GET", "/api/messages?kind=nothing", 400, "no such kind"),
     ] {
         let (status, body) = page.request(method, path, &[token]);
         let body: serde_json::Value = serde_json::from_str(&body).expect(&body);
