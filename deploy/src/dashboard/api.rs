@@ -9,8 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{FromRequestParts, Path, Query, Request, State};
-use axum::http::request::Parts;
+use axum::extract::{Request, State};
 use axum::http::{Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::sse::{Event, Sse};
@@ -22,13 +21,13 @@ use reveille_view::filter::{Filter, StateName};
 use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use subtle::ConstantTimeEq;
 use tokio::sync::{Semaphore, watch};
 
 use super::curves::CurvePoint;
 use super::feed::Feed;
+use super::http::{ApiError, ApiResult, Params, PathPart};
 use super::timeline::{MAX_COLUMNS, MAX_DEVICE_TTIS, TimelineRequest, parse_rows};
 use crate::metrics_server::is_allowed_host;
 
@@ -120,50 +119,6 @@ impl ApiState {
             read(&feed)
         });
         result.await.map_err(|_| unavailable())
-    }
-}
-
-/// A JSON answer or an error.
-pub(super) type ApiResult = Result<Json<Value>, ApiError>;
-
-/// The status and message of a failed request.
-pub(super) struct ApiError(pub(super) StatusCode, pub(super) String);
-
-impl IntoResponse for ApiError {
-    fn into_response(self) -> Response {
-        (self.0, Json(json!({ "error": self.1 }))).into_response()
-    }
-}
-
-/// The parameters of a request. Unlike [`Query`], it returns an [`ApiError`].
-pub(super) struct Params<T>(pub(super) T);
-
-impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
-    type Rejection = ApiError;
-
-    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, ApiError> {
-        let query = Query::try_from_uri(&parts.uri);
-        query
-            .map(|Query(params)| Self(params))
-            .map_err(|error| ApiError(error.status(), format!("parameters: {}", cause_of(&error))))
-    }
-}
-
-/// The innermost cause of `error`, such as the parameter and what is wrong with it.
-fn cause_of(error: &dyn std::error::Error) -> String {
-    error.source().map_or_else(|| error.to_string(), cause_of)
-}
-
-/// A part of the path of a request. Unlike [`Path`], it returns an [`ApiError`].
-pub(super) struct PathPart<T>(pub(super) T);
-
-impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for PathPart<T> {
-    type Rejection = ApiError;
-
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
-        let path = Path::from_request_parts(parts, state).await;
-        path.map(|Path(part)| Self(part))
-            .map_err(|error| ApiError(error.status(), error.body_text()))
     }
 }
 

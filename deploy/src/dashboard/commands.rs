@@ -14,7 +14,8 @@ use reveille_common::units::Energy;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::api::{ApiError, ApiResult, ApiState, Params, PathPart};
+use super::api::ApiState;
+use super::http::{ApiError, ApiResult, Params, PathPart};
 
 /// Longest wait for an answer of the base station.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);

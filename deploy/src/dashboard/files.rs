@@ -16,7 +16,8 @@ use axum::response::IntoResponse;
 use rustix::fs::OFlags;
 use serde_json::{Value, json};
 
-use super::api::{ApiError, ApiResult, ApiState, PathPart};
+use super::api::ApiState;
+use super::http::{ApiError, ApiResult, PathPart};
 use crate::recording::RECORDING_EXTENSION;
 use crate::run_folder::is_result_file;
 use crate::scenario_files;

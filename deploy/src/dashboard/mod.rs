@@ -11,6 +11,7 @@ mod curves;
 mod events;
 pub(crate) mod feed;
 mod files;
+mod http;
 mod page;
 mod timeline;
 
@@ -27,6 +28,7 @@ use tokio::net::TcpListener;
 
 use self::api::{ApiState, check_request};
 use self::feed::Feed;
+use self::http::ApiError;
 use self::page::PAGE;
 use crate::metrics_server::{listen_error, local_target};
 
@@ -92,13 +94,13 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         router = router.route(path, get(serve_file));
     }
     let no_page = || async {
-        api::ApiError(
+        ApiError(
             StatusCode::NOT_FOUND,
             "no such page; docs/watching.md lists the main ones".to_owned(),
         )
     };
     let no_method = || async {
-        api::ApiError(
+        ApiError(
             StatusCode::METHOD_NOT_ALLOWED,
             "use POST for commands and GET for everything else".to_owned(),
         )

@@ -40,8 +40,8 @@ pub(crate) struct CatchUp {
     next_tti: Tti,
     /// Returns whether to stop the replay.
     should_stop: Box<dyn Fn() -> bool + Send>,
-    /// Whether the grant open at the connection, or at the last gap, continues: its frames may be incomplete and are not
-    /// passed on.
+    /// Whether the grant open at the connection, or at the last gap, continues. Its frames may be incomplete and are
+    /// not passed on.
     is_in_open_grant: bool,
     /// Whether the catch-up is complete, so that received frames are passed on.
     is_over: bool,

@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn no_frame_is_repeated_after_a_gap_during_a_skip() {
         let mut passed = PassedFrames::default();
-        assert_eq!(receive(&mut passed, 0..11), Vec::from_iter(0..11));
+        assert_eq!(receive(&mut passed, 0..11), (0..11).collect::<Vec<_>>());
         passed.note_gap();
         assert_eq!(receive(&mut passed, 14..17), [14, 15, 16]);
         // The base station returns at an earlier TTI: the rest of TTI 8 is skipped.
@@ -116,18 +116,18 @@ mod tests {
         passed.note_gap();
         assert_eq!(receive(&mut passed, 17..21), [18, 19, 20]);
         passed.restart();
-        assert_eq!(receive(&mut passed, 0..30), Vec::from_iter(22..30));
+        assert_eq!(receive(&mut passed, 0..30), (22..30).collect::<Vec<_>>());
     }
 
     #[test]
     fn later_ttis_are_complete_after_a_gap_in_repeated_frames() {
         let mut passed = PassedFrames::default();
-        assert_eq!(receive(&mut passed, 0..11), Vec::from_iter(0..11));
+        assert_eq!(receive(&mut passed, 0..11), (0..11).collect::<Vec<_>>());
         passed.restart();
         assert!(receive(&mut passed, 0..4).is_empty());
         passed.note_gap();
-        assert_eq!(receive(&mut passed, 8..16), Vec::from_iter(12..16));
+        assert_eq!(receive(&mut passed, 8..16), (12..16).collect::<Vec<_>>());
         passed.restart();
-        assert_eq!(receive(&mut passed, 0..30), Vec::from_iter(16..30));
+        assert_eq!(receive(&mut passed, 0..30), (16..30).collect::<Vec<_>>());
     }
 }
