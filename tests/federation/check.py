@@ -92,11 +92,11 @@ class Federation:
 
     def time_to_loss(self, process):
         """Kills a process and returns the seconds until the base station names a lost host."""
-        if ": lost the process" in self.base_station.err():
+        if " lost the process" in self.base_station.err():
             raise subprocesses.Failure(f"a host was lost before: {self.base_station.err()}")
         started = time.monotonic()
         process.kill()
-        self.workspace.wait("the loss", lambda: ": lost the process" in self.base_station.err())
+        self.workspace.wait("the loss", lambda: " lost the process" in self.base_station.err())
         return time.monotonic() - started
 
     def finish(self):
@@ -136,7 +136,7 @@ def check_cut(reveille):
         back = time.monotonic() - restored
         run.finish()
         router = run.routers["right"].err()
-        if ": lost the base station" not in router or "reconnected to run" not in router:
+        if " lost the base station" not in router or "reconnected to run" not in router:
             raise subprocesses.Failure(f"the router does not report the cut: {router}")
     print(f"cut for 10 s: digest equal, hosts back {back:.1f} s after the link", flush=True)
 

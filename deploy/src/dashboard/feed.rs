@@ -558,14 +558,19 @@ mod tests {
         }));
         run.finish(&mut FrameObserver::new(0, on_frame));
         let positions = Deployment::new(&scenario).positions();
-        // From TTI 0 to each TTI, a device senses when it is awake by plan and has power.
+        // The number of TTIs from TTI 0 to each TTI in which each device was awake by plan and had power.
         let mut counts = vec![0_u64; 12];
         let sensing_ttis: Vec<Vec<u64>> = (0..1500)
             .map(|tti| {
                 let snapshot = feed.history(|history| history.snapshot_at(Tti(tti)).expect("an available TTI"));
-                for ((count, view), is_on) in counts.iter_mut().zip(&snapshot.views).zip(&snapshot.planned_on) {
-                    let is_awake = !matches!(view.state, DeviceState::Sleep { .. } | DeviceState::Failed);
-                    *count += u64::from(*is_on && is_awake);
+                for (id, count) in (0..).map(DeviceId).zip(&mut counts) {
+                    let is_asleep = matches!(
+                        snapshot.views[id.index()].state,
+                        DeviceState::Sleep { .. } | DeviceState::Failed
+                    );
+                    // A device that detects an event, but cannot pay its report, goes to sleep.
+                    let has_sensed = !is_asleep || snapshot.failed_reporters.contains(&id);
+                    *count += u64::from(snapshot.planned_on[id.index()] && has_sensed);
                 }
                 counts.clone()
             })
