@@ -67,13 +67,8 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let runtime = crate::runtime::runtime(1)?;
     let run_name = folder.name();
     let watchers_start = RunWatchers::start(&args.output, &run_name, &scenario, ProcessStats::default);
-    let watchers = match runtime.block_on(watchers_start) {
-        Ok(watchers) => watchers,
-        Err(error) => {
-            folder.fail(&error);
-            return Err(error);
-        }
-    };
+    let watchers = runtime.block_on(watchers_start);
+    let watchers = watchers.inspect_err(|error| folder.fail(error))?;
     let bar = RunProgressBar::start(&progress, &scenario, args.output.quiet);
     let started = crate::runtime::now();
     let mut run = match prepare_on_thread(&scenario, options, &signals) {

@@ -580,10 +580,10 @@ mod tests {
             let (mut near_counts, mut near_miss_counts) = (vec![0; 12], vec![0; 12]);
             for record in records.iter().filter(|record| record.last.0 <= tti) {
                 let distances: Vec<f64> = positions.iter().map(|at| at.distance(record.epicentre)).collect();
-                let shortest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-                let nearest = distances.iter().position(|distance| *distance == shortest);
-                near_counts[nearest.expect("a device")] += 1;
-                near_miss_counts[nearest.expect("a device")] += i32::from(record.delay().is_none());
+                let nearest = (0..12).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
+                let nearest = nearest.expect("a device");
+                near_counts[nearest] += 1;
+                near_miss_counts[nearest] += i32::from(record.delay().is_none());
             }
             assert_eq!(heat["events"], json!(near_counts), "TTI {tti}");
             assert_eq!(heat["misses"], json!(near_miss_counts), "TTI {tti}");
