@@ -167,7 +167,9 @@ mod tests {
         let frames = [grant(0, 9), grant(10, 23), grant(24, 24)];
         let count = |since, until| {
             let mut traffic = TrafficStats::within(Tti(since), until);
-            frames.iter().for_each(|frame| traffic.count(frame));
+            for frame in &frames {
+                traffic.count(frame);
+            }
             (
                 traffic.kind(MessageKind::World).messages,
                 traffic.ttis(),

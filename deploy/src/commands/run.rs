@@ -54,11 +54,10 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         None => None,
     };
     // A resumed run keeps the window of its first part, so that windows.csv gets the same rows.
+    let stored_window = mark.as_ref().map(|mark| mark.window);
     let options = RunOptions {
         lookahead: !args.no_lookahead,
-        window: mark
-            .as_ref()
-            .map_or_else(|| window_length(&args.output, &scenario), |mark| mark.window),
+        window: stored_window.unwrap_or_else(|| window_length(&args.output, &scenario)),
     };
     let inputs = store_or_read_inputs(given_inputs, &folder, &scenario)?;
     let mut mark_writer = ResumeMarkWriter::new(folder.path(), &scenario, options.window, mark);
@@ -67,8 +66,13 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let runtime = crate::runtime::runtime(1)?;
     let run_name = folder.name();
     let watchers_start = RunWatchers::start(&args.output, &run_name, &scenario, ProcessStats::default);
-    let watchers = runtime.block_on(watchers_start);
-    let watchers = watchers.inspect_err(|error| folder.fail(error))?;
+    let watchers = match runtime.block_on(watchers_start) {
+        Ok(watchers) => watchers,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
     let bar = RunProgressBar::start(&progress, &scenario, args.output.quiet);
     let started = crate::runtime::now();
     let mut run = match prepare_on_thread(&scenario, options, &signals) {
