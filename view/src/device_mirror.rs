@@ -151,8 +151,8 @@ impl DeviceMirror {
         self.machines.iter_mut().map(view).collect()
     }
 
-    /// Advances all devices to TTI `tti`, like [`Self::views_at`], and returns their views and their totals since TTI
-    /// 0.
+    /// Advances all devices to TTI `tti` under the current plan, and returns their views and their totals since TTI 0.
+    /// They are valid unless more frames up to `tti` follow.
     ///
     /// # Panics
     /// If a device is past `tti` + 1.
