@@ -1,4 +1,4 @@
-//! What the handlers of all routes share: errors in JSON, and the parts of a request with such errors.
+//! Errors in JSON for all routes, and extractors of paths and parameters that return them.
 
 use axum::Json;
 use axum::extract::{FromRequestParts, Path, Query};
