@@ -106,7 +106,7 @@ fn the_dashboard_acts_on_a_device() {
     };
     page.clock("run-to?n=50");
     wait_for_next_tti(50);
-    // Device 3, whose code is `x` while it is failed (`state_codes` in `deploy/src/dashboard/feed.rs`).
+    // Device 3, whose code is `x` while it is failed (`state_codes` in `deploy/src/dashboard/feed/mod.rs`).
     let state_code = |tti: u64| {
         page.get(&format!("/api/tti/{tti}"))["states"]
             .as_str()

@@ -55,7 +55,7 @@ pub struct HistorySpan {
     end: Tti,
 }
 
-/// A TTI of a run. `snapshot_json` in `deploy/src/dashboard/feed.rs` sends every field to the page.
+/// A TTI of a run. `snapshot_json` in `deploy/src/dashboard/feed/mod.rs` sends every field to the page.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TtiSnapshot {
     /// State and battery of all devices at its end, in the order of ids.

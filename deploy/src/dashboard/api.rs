@@ -207,17 +207,41 @@ pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
     ([(header::CACHE_CONTROL, "no-store")], Sse::new(events))
 }
 
+/// Data of a TTI, if it is available.
+type ReadTti = fn(&Feed, Tti) -> Option<Value>;
+
+/// Serves the data of TTI `tti`.
+async fn serve_tti(served: &ApiState, tti: u64, read: ReadTti) -> ApiResult {
+    let value = served.read_feed(move |feed| read(feed, Tti(tti))).await?;
+    value
+        .map(Json)
+        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory")))
+}
+
+/// Serves the data of TTI `tti` of the run that `--compare` names.
+async fn serve_compared_tti(served: &ApiState, tti: u64, read: ReadTti) -> ApiResult {
+    let read_compared = move |feed: &Feed| feed.compared_feed().map(|other| read(other, Tti(tti)));
+    let value = served.read_feed(read_compared).await?.ok_or_else(no_compared_run)?;
+    value
+        .map(Json)
+        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run")))
+}
+
 pub(super) async fn tti(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
-    let value = served.read_feed(move |feed| feed.tti_json(Tti(tti))).await?;
-    value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
+    serve_tti(&served, tti, Feed::tti_json).await
 }
 
-fn tti_not_in_memory(tti: u64) -> ApiError {
-    ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory"))
+pub(super) async fn compared_tti(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
+    serve_compared_tti(&served, tti, Feed::tti_json).await
 }
 
-fn tti_not_in_other_run(tti: u64) -> ApiError {
-    ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run"))
+/// Serves the sums of each device up to a TTI.
+pub(super) async fn heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
+    serve_tti(&served, tti, Feed::heat_json).await
+}
+
+pub(super) async fn compared_heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
+    serve_compared_tti(&served, tti, Feed::heat_json).await
 }
 
 fn no_compared_run() -> ApiError {
@@ -225,17 +249,6 @@ fn no_compared_run() -> ApiError {
         StatusCode::NOT_FOUND,
         "the dashboard has no other run; start it with --compare".to_owned(),
     )
-}
-
-/// Serves a TTI of the run that `--compare` names.
-pub(super) async fn compared_tti(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
-    let value = served
-        .read_feed(move |feed| feed.compared_feed().map(|other| other.tti_json(Tti(tti))))
-        .await?;
-    value
-        .ok_or_else(no_compared_run)?
-        .map(Json)
-        .ok_or_else(|| tti_not_in_other_run(tti))
 }
 
 /// Serves the curves of the run that `--compare` names.
@@ -505,21 +518,4 @@ pub(super) async fn miss(State(served): State<ApiState>, Params(query): Params<M
             "use after=TTI or before=TTI".to_owned(),
         )),
     }
-}
-
-/// Serves the sums of each device up to a TTI.
-pub(super) async fn heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
-    let value = served.read_feed(move |feed| feed.heat_json(Tti(tti))).await?;
-    value.map(Json).ok_or_else(|| tti_not_in_memory(tti))
-}
-
-/// Serves the same sums of the run that `--compare` names.
-pub(super) async fn compared_heat(State(served): State<ApiState>, PathPart(tti): PathPart<u64>) -> ApiResult {
-    let value = served
-        .read_feed(move |feed| feed.compared_feed().map(|other| other.heat_json(Tti(tti))))
-        .await?;
-    value
-        .ok_or_else(no_compared_run)?
-        .map(Json)
-        .ok_or_else(|| tti_not_in_other_run(tti))
 }
