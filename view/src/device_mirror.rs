@@ -152,20 +152,23 @@ impl DeviceMirror {
     }
 
     /// Advances all devices to TTI `tti` under the current plan, and returns their views and their totals since TTI 0.
-    /// They are valid unless more frames up to `tti` follow.
+    /// They are valid unless more frames up to `tti` follow. After a call for a coming TTI, [`Self::ledgers`] panics until
+    /// a grant has reached that TTI.
     ///
     /// # Panics
     /// If a device is past `tti` + 1.
     pub fn views_and_totals_at(&mut self, tti: Tti) -> Vec<(DeviceView, DeviceTotals)> {
         self.apply_changes_up_to(tti);
-        let view_and_totals = |machine: &mut Machine| {
-            begin(machine, tti);
-            // On a copy: settling closes the open TTI, and the run may continue.
-            let mut ended = machine.clone();
-            ended.advance_to(tti + 1);
-            (machine.view(), ended.totals())
-        };
-        self.machines.iter_mut().map(view_and_totals).collect()
+        let machines = self.machines.iter_mut();
+        machines.map(|machine| view_and_totals(machine, tti)).collect()
+    }
+
+    /// Advances `device` to TTI `tti`, like [`Self::views_and_totals_at`], and returns its totals since TTI 0; `None` if
+    /// it does not exist.
+    pub(crate) fn totals_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
+        self.apply_changes_up_to(tti);
+        let machine = self.machines.get_mut(device.index())?;
+        Some(view_and_totals(machine, tti).1)
     }
 
     /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`]; `None` if it does not
@@ -194,7 +197,7 @@ impl DeviceMirror {
     /// Ledgers of all devices if the run ended after the current TTI, in the order of ids.
     ///
     /// # Panics
-    /// If a device is past the current TTI, after `views_at` or `view_at`.
+    /// If a device is past the current TTI, after `views_at`, `views_and_totals_at` or `view_at`.
     pub fn ledgers(&self) -> Vec<Ledger> {
         let end = self.next_tti();
         // On copies: settling closes the open TTI, and the run may continue.
@@ -470,6 +473,15 @@ impl DeviceMirror {
             Some((previous, _)) => Err(format!("the outcome of the wake-up of device {previous} is missing")),
         }
     }
+}
+
+/// Advances `machine` to TTI `tti`, and returns its view and its totals at the end of that TTI.
+fn view_and_totals(machine: &mut Machine, tti: Tti) -> (DeviceView, DeviceTotals) {
+    begin(machine, tti);
+    // On a copy: settling closes the open TTI, and the run may continue.
+    let mut ended = machine.clone();
+    ended.advance_to(tti + 1);
+    (machine.view(), ended.totals())
 }
 
 /// Begins TTI `now` of a device, unless a new plan has ended it already. Neither state nor battery changes at an end.

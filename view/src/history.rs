@@ -202,8 +202,9 @@ impl RunHistory {
         Some(tti_snapshot)
     }
 
-    /// The run with all messages that devices and base station know in TTI `tti`, if available. Its devices can be
-    /// advanced to that TTI.
+    /// The run before the first plan or grant that goes beyond TTI `tti`, if that TTI is available.
+    /// [`DeviceMirror::views_and_totals_at`](crate::device_mirror::DeviceMirror::views_and_totals_at) advances its
+    /// devices to `tti`.
     pub fn run_until(&self, tti: Tti) -> Option<Reconstruction> {
         let (first, end) = self.available_ttis();
         if tti < first || tti >= end {
@@ -228,8 +229,7 @@ impl RunHistory {
 
     /// Totals of `device` from the start of the run to the end of TTI `tti`, if available.
     pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
-        let mut devices = self.run_until(tti)?.mirror_mut().views_and_totals_at(tti);
-        (device.index() < devices.len()).then(|| devices.swap_remove(device.index()).1)
+        self.run_until(tti)?.mirror_mut().totals_at(device, tti)
     }
 
     /// State and battery of `device` in each available TTI from `from` up to but excluding `end`, in order.

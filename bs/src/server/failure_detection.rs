@@ -71,7 +71,7 @@ impl RunLoop<'_> {
                 return Ok(());
             }
         }
-        // The run makes no progress while it waits.
+        // `publish_progress` is not called while the run waits.
         self.publish_active_hosts(state);
         for (assignment, duration) in state.lost_hosts.take_due_warnings(now) {
             let (host, first, last) = (assignment.host, assignment.first.0, assignment.last().0);

@@ -169,7 +169,7 @@ impl NameCheck<'_, '_> {
             .field_paths()
             .filter(|known| known.rsplit('.').next() == Some(name))
             .collect();
-        // Comes first: of equally near names, users mean the field of the same section, here with the item's name.
+        // Candidates of the same section come first: of equally near names, users mean one of these.
         let parent = shown_path.strip_suffix(name).unwrap_or_default().trim_end_matches('.');
         let here: Vec<String> = valid.iter().map(|known| join_path(parent, known)).collect();
         let candidates = here.iter().chain(&elsewhere).map(String::as_str);

@@ -171,11 +171,7 @@ impl EnergyBalance {
 
     /// Warnings about implausible energy settings, each a sentence without its full stop.
     pub fn warnings(&self) -> Vec<String> {
-        let mut warnings: Vec<String> = self
-            .classes
-            .iter()
-            .filter_map(|class| Some(format!("{}{}", self.subject(class), class.warning(self)?)))
-            .collect();
+        let mut warnings = self.class_warnings(|class| class.warning(self));
         for class in &self.classes {
             if let Some(rate) = class.eq5_rate.filter(|rate| *rate > 1.0) {
                 warnings.push(format!(
@@ -197,8 +193,13 @@ impl EnergyBalance {
 
     /// Warnings about classes whose batteries run down under every policy, each a sentence without its full stop.
     pub fn depletion_warnings(&self) -> Vec<String> {
-        let warning = |class: &ClassBalance| Some(format!("{}{}", self.subject(class), class.depletion_warning(self)?));
-        self.classes.iter().filter_map(warning).collect()
+        self.class_warnings(|class| class.depletion_warning(self))
+    }
+
+    /// The `warning` of each class that has one, after the name of the class.
+    fn class_warnings(&self, warning: impl Fn(&ClassBalance) -> Option<String>) -> Vec<String> {
+        let named = |class: &ClassBalance| Some(format!("{}{}", self.subject(class), warning(class)?));
+        self.classes.iter().filter_map(named).collect()
     }
 
     /// The start of a sentence about `class`; empty if all devices belong to it.
@@ -249,7 +250,7 @@ impl ClassBalance {
         }
     }
 
-    /// A warning if the harvest of the class does not pay for sleeping, in a run with `balance`.
+    /// A warning if the class harvests nothing, or too little to pay for sleeping, in a run with `balance`.
     fn depletion_warning(&self, balance: &EnergyBalance) -> Option<String> {
         let mean = self.harvest.mean;
         if mean == 0.0 {

@@ -57,6 +57,7 @@ pub(crate) const fn default_window(scenario: &Scenario) -> u64 {
 /// Prints the summary in the chosen form and returns the exit code. Scripts and tests read the line `digest …` of
 /// `--quiet`; `docs/tutorial.md` shows the whole text, which a test compares.
 pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) -> anyhow::Result<ExitCode> {
+    let is_complete = summary.status == "complete";
     if args.json {
         display::print_stdout(&summary.to_json()?)?;
     } else if args.quiet {
@@ -64,7 +65,7 @@ pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &P
     } else {
         let rows = if args.all_metrics { Rows::All } else { Rows::Main };
         display::print_stdout(&results_table::format_results(summary, rows, terminal::shows_colours()))?;
-        let resume_hint = if summary.status == "complete" {
+        let resume_hint = if is_complete {
             String::new()
         } else {
             let command = if summary.timing.hosts > 0 { "up" } else { "run" };
@@ -79,7 +80,7 @@ pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &P
             display::print_stdout(&format!("missed events: reveille inspect misses {folder}\n"))?;
         }
     }
-    Ok(if summary.status == "complete" {
+    Ok(if is_complete {
         ExitReason::Done.into()
     } else {
         ExitReason::Interrupted.into()

@@ -58,7 +58,12 @@ pub(super) struct TimelineCursor(Mutex<Option<ResumeSnapshot>>);
 impl TimelineCursor {
     /// Copies the requested TTIs from `history`; `None` if none of them is available.
     pub(super) fn copy_span(&self, history: &RunHistory, request: &TimelineRequest) -> Option<HistorySpan> {
-        let snapshot_near_end = self.lock().take();
+        // A request for one device, whose panel shows older TTIs, leaves the snapshot to the timeline.
+        let snapshot_near_end = if request.devices.len() > 1 {
+            self.lock().take()
+        } else {
+            None
+        };
         history.span(request.from, request.end, snapshot_near_end)
     }
 
@@ -72,7 +77,9 @@ impl TimelineCursor {
         let end = span.ttis().1;
         let row_e_max: Vec<Energy> = request.devices.iter().map(|device| e_max[device.index()]).collect();
         let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add_tti(tti, views, &row_e_max));
-        *self.lock() = Some(snapshot_near_end);
+        if request.devices.len() > 1 {
+            *self.lock() = Some(snapshot_near_end);
+        }
         cells.encode(end)
     }
 

@@ -391,7 +391,7 @@ impl<'s> WeakestClass<'s> {
         spend_less: Option<&str>,
     ) -> Vec<Suggestion> {
         let mut changes = self.ways_to_harvest_more(present, energy);
-        // Otherwise batteries run down under every policy.
+        // If the harvest does not pay for sleeping, batteries run down under every policy.
         if self.can_sleep() {
             let lower_cost = spend_less.map(|field| present.scale("lower", &self.field(present, field), &LOWER));
             changes.extend(lower_cost.flatten());

@@ -79,7 +79,7 @@ impl CatchUp {
         if self.is_over {
             self.passed.note_gap();
         } else {
-            // The replay has them. The plan of the next grant may be among them, so that grant is replayed too.
+            // The replay has these frames. The plan of the next grant may be among them, so that grant is replayed too.
             self.is_in_open_grant = false;
         }
     }

@@ -264,8 +264,8 @@ impl Live {
 
     /// Passes the frames of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
     /// when the run ends, a signal comes, or `on_frame` returns false. The first dropped messages are reported
-    /// immediately, later ones when the base station is back. If it leaves the bus and returns, the messages in between
-    /// are caught up too.
+    /// immediately, later ones only if the base station leaves the bus and returns; `dropped_frames` counts all. The
+    /// messages in between are caught up too.
     ///
     /// # Errors
     /// If the external inputs of the run cannot be read.

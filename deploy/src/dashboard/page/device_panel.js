@@ -7,7 +7,7 @@ import { showActions } from "./device_actions.js";
 import { addExport } from "./export.js";
 import { symbolsOf } from "./map_symbols.js";
 import { byId, element, page } from "./page_state.js";
-import { STATES, nameOfCode, stateEntry } from "./states.js";
+import { STATES, bandEntry, nameOfCode } from "./states.js";
 import { ink } from "./theme.js";
 import { deviceFlags, stateOf } from "./timeline_data.js";
 
@@ -62,7 +62,7 @@ export async function showDevice() {
   // TTIs that have left the memory have no flags.
   chart.history = { from, band: Array.from(flags, (of) => (of ? stateOf(of) : null)) };
   const seen = Object.keys(STATES).filter((name) => chart.history.band.includes(name));
-  byId("state-legend").replaceChildren(...seen.map((name) => stateEntry(name, name === "woken" ? "wake-up sent" : undefined)));
+  byId("state-legend").replaceChildren(...seen.map(bandEntry));
   chart.most = run.e_max[device] * 1.04;
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   ledger = [];

@@ -27,3 +27,6 @@ export function colourBox(colour, shape = "") {
 }
 
 export const stateEntry = (state, text = STATES[state].name) => element("span", {}, colourBox(STATES[state].colour, STATES[state].shape), text);
+
+// The entry of a band of states, which marks the wake-up signal, not the report after it.
+export const bandEntry = (state) => stateEntry(state, state === "woken" ? "wake-up sent" : undefined);

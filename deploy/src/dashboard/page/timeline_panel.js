@@ -2,7 +2,7 @@
 
 import { addExport } from "./export.js";
 import { byId, element, page, plural } from "./page_state.js";
-import { colourBox, stateEntry } from "./states.js";
+import { bandEntry, colourBox } from "./states.js";
 import { Timeline, cellText } from "./timeline.js";
 import { filterDevices } from "./timeline_filter.js";
 import { GUTTER, HEAD } from "./timeline_window.js";
@@ -24,7 +24,7 @@ export class TimelinePanel {
     addExport(byId("timeline-title").parentElement, { name: "timeline", title: "Timeline", canvas: () => this.canvas, rows: () => this.timeline.rows(), legend: byId("timeline-legend") });
     const entry = (colour, text) => element("span", {}, colourBox(colour), text);
     byId("timeline-legend").prepend(
-      ...["sensing", "asleep", "unpowered", "out", "reporting"].map((state) => stateEntry(state)), stateEntry("woken", "wake-up sent"), stateEntry("failed"),
+      ...["sensing", "asleep", "unpowered", "out", "reporting", "woken", "failed"].map(bandEntry),
       entry("--battery", "battery"), entry("--detected", "event detected"), entry("--alarm", "event missed"),
     );
     byId("timeline-in").onclick = () => this.zoom(1.6);

@@ -1,6 +1,6 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
-import { ASLEEP, OUT, TILE_COLUMNS, UNPOWERED, stateOf } from "./timeline_data.js";
+import { ASLEEP, TILE_COLUMNS, UNPOWERED, stateOf } from "./timeline_data.js";
 import { STATES } from "./states.js";
 import { ink, rgb } from "./theme.js";
 
@@ -15,6 +15,9 @@ function bandOf(flags) {
   return [state === "unpowered" && !(flags & ASLEEP) ? STATE_BOTTOM - 4 : STATE_TOP, STATE_BOTTOM];
 }
 
+// The bands of all flags, since a tile has thousands of cells.
+const BANDS = Array.from({ length: 256 }, (_, flags) => bandOf(flags));
+
 const mix = (from, to, share) => from.map((value, nth) => Math.round(value + (to[nth] - value) * share));
 const packed = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
 
@@ -22,13 +25,14 @@ const packed = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
 class Palette {
   constructor() {
     const colour = (state) => rgb(STATES[state].colour), [asleep, sensing, unpowered] = ["asleep", "sensing", "unpowered"].map(colour);
-    this.marks = Object.fromEntries(["reporting", "woken", "failed", "out"].map((state) => [state, packed(colour(state))]));
+    const marks = Object.fromEntries(["reporting", "woken", "failed", "out"].map((state) => [state, packed(colour(state))]));
+    this.marks = Array.from({ length: 256 }, (_, flags) => marks[stateOf(flags)]);
     [this.battery, this.emptyBattery] = [packed(rgb("--battery")), packed(rgb("--field"))];
     this.levels = [asleep, unpowered].map((base) => Array.from({ length: 256 }, (_, share) => packed(mix(base, sensing, share / 255))));
   }
 
   state(flags, sensing) {
-    return this.marks[stateOf(flags)] ?? this.levels[flags & UNPOWERED ? 1 : 0][sensing];
+    return this.marks[flags] ?? this.levels[flags & UNPOWERED ? 1 : 0][sensing];
   }
 }
 
@@ -49,7 +53,7 @@ export function tilePicture(tile) {
       const cell = row * TILE_COLUMNS + column, flags = tile.flags[cell];
       if (!flags) continue;
       const top = row * ROW, colour = palette.state(flags, tile.sensing[cell]);
-      const [bandTop, bandBottom] = bandOf(flags);
+      const [bandTop, bandBottom] = BANDS[flags];
       for (let y = bandTop; y < bandBottom; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = colour;
       // A full battery fills the band; any energy shows at least one pixel.
       const level = Math.ceil((tile.battery[cell] / 255) * (BATTERY_BOTTOM - BATTERY_TOP));
