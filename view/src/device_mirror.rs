@@ -152,8 +152,8 @@ impl DeviceMirror {
     }
 
     /// Advances all devices to TTI `tti` under the current plan, and returns their views and their totals since TTI 0.
-    /// They are valid unless more frames up to `tti` follow. After a call for a coming TTI, [`Self::ledgers`] panics until
-    /// a grant has reached that TTI.
+    /// They are valid unless more frames up to `tti` follow. After a call for a coming TTI, [`Self::ledgers`] panics
+    /// until a grant has reached that TTI.
     ///
     /// # Panics
     /// If a device is past `tti` + 1.
@@ -163,8 +163,8 @@ impl DeviceMirror {
         machines.map(|machine| view_and_totals(machine, tti)).collect()
     }
 
-    /// Advances `device` to TTI `tti`, like [`Self::views_and_totals_at`], and returns its totals since TTI 0; `None` if
-    /// it does not exist.
+    /// Advances `device` to TTI `tti`, like [`Self::views_and_totals_at`], and returns its totals since TTI 0; `None`
+    /// if it does not exist.
     pub(crate) fn totals_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
         self.apply_changes_up_to(tti);
         let machine = self.machines.get_mut(device.index())?;

@@ -130,8 +130,8 @@ pub(super) async fn check_request(State(served): State<ApiState>, request: Reque
     }
 }
 
-/// The reason why a request is refused, if it is: another host name, a page of another site, no token, or parameters on a
-/// path without any. Reading from a loopback address needs no token, and neither do the page's files.
+/// The reason why a request is refused, if it is: another host name, a page of another site, no token, or parameters
+/// on a path without any. Reading from a loopback address needs no token, and neither do the page's files.
 fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
     let header_text = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let host = header_text(header::HOST.as_str());

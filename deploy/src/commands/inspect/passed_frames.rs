@@ -19,8 +19,8 @@ pub(super) struct PassedFrames {
     has_gap: bool,
     /// The last TTI of the frames that count in `passed`.
     last_tti: Tti,
-    /// Set after a gap: frames up to this TTI are not passed on, since the count does not show which ones were. The first
-    /// frame of a later TTI clears it.
+    /// Set after a gap: frames up to this TTI are not passed on, since the count does not show which ones were. The
+    /// first frame of a later TTI clears it.
     skipped_until: Option<Tti>,
 }
 
@@ -33,8 +33,8 @@ impl PassedFrames {
         (self.seen, self.has_gap) = (0, false);
     }
 
-    /// Notes that frames were lost, so that the count is too low. After the next restart the rest of the last passed TTI
-    /// is skipped; if frames are being repeated now, it is skipped before the restart too.
+    /// Notes that frames were lost, so that the count is too low. After the next restart the rest of the last passed
+    /// TTI is skipped; if frames are being repeated now, it is skipped before the restart too.
     pub(super) const fn note_gap(&mut self) {
         self.has_gap = true;
         if self.seen < self.passed {
