@@ -240,6 +240,7 @@ fn signals_end_commands_that_make_runs() {
         Case::new(record, Interrupted),
         Case::new("bench bus --processes 2 --time 1s", ByDefault),
         Case::new("bench scale -n 20 -k 100000", ByDefault),
+        Case::new("bench study --policies random --seeds 1000", ByDefault),
     ];
     check_signals(&folder, &cases);
 }

@@ -6,6 +6,7 @@ mod barrier;
 mod bus;
 mod memory;
 mod scale;
+mod study;
 mod watch;
 
 use std::process::ExitCode;
@@ -21,6 +22,7 @@ pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<ExitCode> {
         BenchCommand::Bus(args) => bus::run(args),
         BenchCommand::Memory(args) => memory::run(args),
         BenchCommand::Scale(args) => scale::run(args),
+        BenchCommand::Study(args) => study::run(args),
         BenchCommand::Watch(args) => watch::run(args),
         BenchCommand::BareHost {
             kind,

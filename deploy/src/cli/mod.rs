@@ -54,7 +54,8 @@ pub(crate) use tls::TlsCommand;
 #[cfg(feature = "tls")]
 pub(crate) use tls::TlsInitArgs;
 pub(crate) use tools::{
-    BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, TargetArgs, WatchBenchArgs,
+    BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, StudyBenchArgs,
+    TargetArgs, WatchBenchArgs,
 };
 #[cfg(feature = "train-dt")]
 pub(crate) use train::DtArgs;

@@ -308,6 +308,11 @@ pub(crate) enum BenchCommand {
     /// The runs are in memory, over the bus, and over the bus without lookahead.
     #[command(after_help = examples!("reveille bench scale", "reveille bench scale --devices 10,100 --ttis 500"))]
     Scale(ScaleBenchArgs),
+    /// Measure the time of a part of the paper's study, and project the whole
+    ///
+    /// The study has 1000 seeds of 10 000 TTIs for each policy and each of ten numbers of devices.
+    #[command(after_help = examples!("reveille bench study", "reveille bench study --policies dt --seeds 2"))]
+    Study(StudyBenchArgs),
     /// Measure the slowdown of a run by a recording, a metrics reader and a browser dashboard
     #[command(after_help = examples!("reveille bench watch", "reveille bench watch --devices 50 --browsers 0"))]
     Watch(WatchBenchArgs),
@@ -419,6 +424,26 @@ pub(crate) struct WatchBenchArgs {
     /// Number of pairs of runs; the results are medians.
     #[arg(long, default_value_t = 5, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
+}
+
+/// Arguments of `reveille bench study`.
+#[derive(Args)]
+pub(crate) struct StudyBenchArgs {
+    /// Number of seeds of each policy and number of devices; the study has 1000.
+    #[arg(long, default_value_t = 10, value_parser = whole(1..=1000_u32), allow_negative_numbers = true)]
+    pub seeds: u32,
+    /// Policies to measure.
+    #[arg(
+        long,
+        visible_alias = "policy",
+        value_delimiter = ',',
+        default_values_t = registry::names().map(str::to_owned),
+        value_parser = trimmed(StringValueParser::new())
+    )]
+    pub policies: Vec<String>,
+    /// Number of threads [default: one per core].
+    #[arg(long, short = 'j', value_parser = whole(1..=4096_u16), allow_negative_numbers = true)]
+    pub threads: Option<u16>,
 }
 
 /// Arguments of `reveille bench memory`.

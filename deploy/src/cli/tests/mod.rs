@@ -23,6 +23,7 @@ fn numbers_below_a_range_are_refused_with_the_range() {
         ("bench watch --ttis 0", "from 1 to 1000000000"),
         ("bench memory --devices 10,0", "from 1 to 1000000"),
         ("bench memory --ttis 0", "from 1 to 1000000000"),
+        ("bench study --seeds 0", "from 1 to 1000"),
         ("train q-learning --devices 0 --out a", "from 1 to 1000000"),
         ("train record --stride 1 --out a", "from 2 to 4294967295"),
         ("sweep --seeds 0", "from 1 to 10000000"),
