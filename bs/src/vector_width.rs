@@ -31,8 +31,8 @@ impl VectorWidth {
         supported
     }
 
-    /// Returns the set that is used, never v4. On some CPUs v4 makes `dt` a few hundredths faster; where it lowers the
-    /// clock, `dt` takes half as long again.
+    /// Returns the set that is used, never v4. On some CPUs v4 makes `dt` with attention a few hundredths faster; where
+    /// it lowers the clock, `dt` takes half as long again.
     pub fn fastest() -> Self {
         #[cfg(target_arch = "x86_64")]
         if let Some(v3) = V3::try_new() {

@@ -4,7 +4,7 @@
 #   cargo build --release
 #   deploy/examples/judge-dt.sh target/release/reveille FOLDER [RUNS]
 #
-# 200 runs a point take some 50 minutes on two cores. An interrupted sweep resumes where it stopped.
+# 200 runs a point take about half an hour on two cores. An interrupted sweep resumes where it stopped.
 set -euo pipefail
 reveille=$(realpath "${1:?the program}")
 folder=${2:?a folder for the sweeps}
@@ -21,20 +21,20 @@ sweep() { # NAME RUNS OPTIONS...
         "$reveille" sweep --seeds "$seeds" --first-seed 7001 --quiet --format csv --out "$out" "$@" >/dev/null
 }
 
-prices=policy.age-index.price=0.05,0.1,0.35,0.6,1,2,4,8
+prices=policy.age-index.price=0.05,0.1,0.2,0.35,0.6,1,1.5,2,3,5,8
 for layout in jittered uniform; do
     at=(--set "layout.kind=$([ "$layout" = uniform ] && echo uniform || echo jittered-grid)")
     # Compared with genie, knn and q-learning.
     sweep "claims-$layout-dt" "$runs" -p dt,genie -n 250 -k 2000 --set policy.dt.price=0.35 "${at[@]}"
-    sweep "claims-$layout-knn" "$runs" -p knn -n 250 -k 1000 --grid bs.ranking=p42,posterior "${at[@]}"
-    sweep "learning-$layout-windows" "$runs" -p q-learning -n 50,100,250 -k 1000 --grid policy.q-learning.window=1,2,4 \
+    sweep "claims-$layout-knn" "$runs" -p knn -n 250 -k 2000 --grid bs.ranking=p42,posterior "${at[@]}"
+    sweep "learning-$layout-windows" "$runs" -p q-learning -n 50,100,250 -k 2000 --grid policy.q-learning.window=1,2,4 \
         --grid bs.ranking=p42,posterior "${at[@]}"
-    sweep "learning-$layout-ages" "$runs" -p q-learning -n 50,100,250 -k 1000 --set policy.q-learning.ages=true \
+    sweep "learning-$layout-ages" "$runs" -p q-learning -n 50,100,250 -k 2000 --set policy.q-learning.ages=true \
         --grid bs.ranking=p42,posterior "${at[@]}"
     # Compared with age-index.
     for events in uniform bursts aftershocks hot-spots; do
-        among=("${at[@]}" --set "events.process=$events" -n 50,100,250 -k 1000)
-        sweep "families-$layout-$events-dt" "$runs" -p dt --grid policy.dt.price=0.35,1 "${among[@]}"
+        among=("${at[@]}" --set "events.process=$events" -n 50,100,250 -k 2000)
+        sweep "families-$layout-$events-dt" "$runs" -p dt --grid policy.dt.price=0.1,0.35,1 "${among[@]}"
         sweep "families-$layout-$events-age" "$runs" -p age-index --grid "$prices" "${among[@]}"
     done
 done
@@ -46,7 +46,7 @@ done
 # Numbers of devices and layouts unseen in training.
 for layout in uniform poisson-disk hex; do
     for events in uniform bursts; do
-        among=(--set "layout.kind=$layout" --set "events.process=$events" -n 30,150,400 -k 1000)
+        among=(--set "layout.kind=$layout" --set "events.process=$events" -n 30,150,400 -k 1500)
         sweep "unseen-$layout-$events-dt" "$few" -p dt --set policy.dt.price=0.35 "${among[@]}"
         sweep "unseen-$layout-$events-age" "$few" -p age-index --grid "$prices" "${among[@]}"
     done

@@ -2,7 +2,7 @@
 """Prints the tables of docs/dt.md from the sweeps of judge-dt.sh: `python judge_dt.py FOLDER`. Needs only Python.
 
 Each `dt` run is compared, on its seed, with the line through the points (energy, P1) of another policy, without points
-that a cheaper one beats. Differences have 95 % intervals over seeds.
+that a cheaper one beats; above its energies, with its largest P1. Differences have 95 % intervals over seeds.
 """
 
 import csv
@@ -41,7 +41,10 @@ def with_interval(values, digits=4):
 
 
 def line_at(points, energy):
-    """Returns P1 at `energy` on the line through `points`, without beaten ones; None outside their energies."""
+    """Returns P1 at `energy` on the line through `points`, without beaten ones; None below their energies.
+
+    Above them it is the largest P1, which the other policy reaches with less energy.
+    """
     front = []
     for cost, found in sorted(points):
         if not front or found > front[-1][1]:
@@ -49,7 +52,7 @@ def line_at(points, energy):
     for (left, low), (right, high) in zip(front, front[1:]):
         if left <= energy <= right:
             return low + (high - low) * (energy - left) / (right - left)
-    return None
+    return front[-1][1] if energy >= front[-1][0] else None
 
 
 def difference_cells(ours, theirs):
@@ -63,12 +66,14 @@ def difference_cells(ours, theirs):
         if line is not None:
             differences.append(float(run["info_p1"]) - line)
             lines.append(line)
-    if len(differences) < 2:
+    # A mean over few runs would not be about the same worlds as the other cells of the row.
+    if 2 * len(differences) < len(ours):
         return f"| outside the energies of the line in {len(ours) - len(differences)} of {len(ours)} runs | |"
     share, width = 100 * fmean(differences) / fmean(lines), 100 * interval(differences) / fmean(lines)
     left = len(ours) - len(differences)
-    note = f", {left} runs outside" if left else ""
-    return f"| {fmean(lines):.3f} | {fmean(differences):+.4f} ± {interval(differences):.4f} ({share:+.1f} ± {width:.1f} %{note}) |"
+    note = f", {left} run{'s' if left > 1 else ''} outside" if left else ""
+    difference = f"{fmean(differences):+.4f} ± {interval(differences):.4f}"
+    return f"| {fmean(lines):.3f} | {difference} ({share:+.1f} ± {width:.1f} %{note}) |"
 
 
 def by(runs, *fields):

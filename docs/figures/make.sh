@@ -6,8 +6,8 @@
 # usage: docs/figures/make.sh [REVEILLE [FOLDER [TTIS [SEEDS]]]]
 #   REVEILLE  the program (target/release/reveille)
 #   FOLDER    where the pictures go (the folder of this script)
-#   TTIS      length of each run (4000), a quarter of it for each target; the pictures have this length
-#   SEEDS     runs of each point (8), a quarter of it for dt against N; the pictures have so many
+#   TTIS      length of each run (4000), a quarter of it for each target
+#   SEEDS     runs of each point (8)
 set -euo pipefail
 
 reveille=${1:-target/release/reveille}
@@ -19,10 +19,9 @@ trap 'rm -rf "$scratch"' EXIT
 
 "$reveille" figures deployment --policy knn --devices 50 --ttis "$ttis" --format svg --out "$scratch/run"
 over_n=(--devices 10,50,100,150,200,250 --ttis "$ttis" --quiet)
-"$reveille" sweep --policies knn,adjusted,random,genie,q-learning,age-index "${over_n[@]}" --seeds "$seeds" --out "$scratch/sweep"
-# A decision of dt takes about a hundred times as long.
-"$reveille" sweep --policies dt "${over_n[@]}" --seeds $(((seeds + 3) / 4)) --out "$scratch/dt"
-"$reveille" figures --only information --format svg --out "$scratch/result" "$scratch"/{sweep,dt}
+policies=knn,adjusted,random,genie,q-learning,age-index,dt
+"$reveille" sweep --policies "$policies" "${over_n[@]}" --seeds "$seeds" --out "$scratch/sweep"
+"$reveille" figures --only information --format svg --out "$scratch/result" "$scratch/sweep"
 
 trade() {
   "$reveille" sweep --devices 250 --ttis "$ttis" --seeds "$seeds" --quiet --out "$scratch/$1" "${@:2}"
@@ -33,8 +32,8 @@ trade rankings --policies knn,adjusted --grid bs.ranking=p42,posterior
 trade ends --policies genie,random
 "$reveille" figures --only front --format svg --out "$scratch/front" "$scratch"/{prices,windows,rankings,ends}
 
-"$reveille" figures attention --devices 100 --ttis "$ttis" --tti $((ttis - 100)) --set events.process=aftershocks --format svg \
-  --out "$scratch/attention"
+"$reveille" figures attention --devices 100 --ttis "$ttis" --tti $((ttis - 100)) --set events.process=aftershocks \
+  --format svg --out "$scratch/attention"
 
 "$reveille" sweep --policies dt --devices 50,100 --ttis $((ttis / 4)) --seeds "$seeds" --quiet --out "$scratch/targets" \
   --grid policy.dt.target=0.1,0.3,0.5,0.7,0.9

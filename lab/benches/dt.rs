@@ -27,55 +27,63 @@ fn random_tokens(devices: usize, ttis: usize) -> Vec<f32> {
         .collect()
 }
 
-fn bench_inference(criterion: &mut Criterion) {
-    let net = Net::new(ModelShape::SHIPPED, 1).expect("a net");
+/// Returns the weights of a random model.
+fn random_model(shape: ModelShape) -> (Net, Arc<ModelWeights>) {
+    let net = Net::new(shape, 1).expect("a net");
     let bytes = encode_file(&net, &BTreeMap::new()).expect("a file");
-    let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
-    // The number of TTIs Z that attention covers.
-    let memory_ttis = ModelShape::SHIPPED.memory;
+    (net, Arc::new(ModelWeights::read(&bytes).expect("a model")))
+}
 
-    let mut group = criterion.benchmark_group("a TTI of 250 devices");
+fn bench_inference(criterion: &mut Criterion) {
+    let included = [
+        ("shipped", ModelShape::SHIPPED),
+        ("attention", ModelShape::WITH_ATTENTION),
+    ];
     let tti_tokens = random_tokens(250, 1);
-    for width in VectorWidth::supported() {
-        let mut forward = ForwardPass::new(Arc::clone(&weights), 250).with_vector_width(width);
-        // Attention covers at most Z TTIs: with Z steps before, each measured step attends to all of them.
-        for _ in 0..memory_ttis {
-            forward.step(&tti_tokens);
+    for (model, shape) in included {
+        let (net, weights) = random_model(shape);
+        let mut group = criterion.benchmark_group(format!("model {model}, a TTI of 250 devices"));
+        for width in VectorWidth::supported() {
+            let mut forward = ForwardPass::new(Arc::clone(&weights), 250).with_vector_width(width);
+            // Attention covers at most Z TTIs: with Z steps before, each measured step attends to all of them.
+            for _ in 0..shape.memory {
+                forward.step(&tti_tokens);
+            }
+            // `Debug` also prints the fields of a variant.
+            let variant = format!("{width:?}");
+            let name = variant.split(['(', ' ']).next().unwrap_or_default().to_owned();
+            group.bench_function(BenchmarkId::new("here", name), |bencher| {
+                bencher.iter(|| forward.step(black_box(&tti_tokens))[0]);
+            });
         }
-        // `Debug` also prints the fields of a variant.
-        let variant = format!("{width:?}");
-        let name = variant.split(['(', ' ']).next().unwrap_or_default().to_owned();
-        group.bench_function(BenchmarkId::new("here", name), |bencher| {
-            bencher.iter(|| forward.step(black_box(&tti_tokens))[0]);
+        group.sample_size(20);
+        let window = Tensor::from_vec(
+            random_tokens(250, shape.memory),
+            (1, shape.memory, 250, FEATURE_COUNT),
+            &Device::Cpu,
+        )
+        .expect("tokens");
+        let targets = Tensor::full(0.5_f32, (1, shape.memory), &Device::Cpu).expect("targets");
+        group.bench_function("in the framework", |bencher| {
+            bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").log_price);
         });
-    }
-    group.sample_size(20);
-    let window = Tensor::from_vec(
-        random_tokens(250, memory_ttis),
-        (1, memory_ttis, 250, FEATURE_COUNT),
-        &Device::Cpu,
-    )
-    .expect("tokens");
-    let targets = Tensor::full(0.5_f32, (1, memory_ttis), &Device::Cpu).expect("targets");
-    group.bench_function("in the framework", |bencher| {
-        bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").log_price);
-    });
-    group.finish();
+        group.finish();
 
-    let mut group = criterion.benchmark_group("a TTI of N devices");
-    group.sample_size(20);
-    for devices in [10, 50, 250, 1000, 2500] {
-        let tti_tokens = random_tokens(devices, 1);
-        let mut forward = ForwardPass::new(Arc::clone(&weights), devices);
-        // The steps before the measurement fill the memory of Z TTIs, as in the first group.
-        for _ in 0..memory_ttis {
-            forward.step(&tti_tokens);
+        let mut group = criterion.benchmark_group(format!("model {model}, a TTI of N devices"));
+        group.sample_size(20);
+        for devices in [10, 50, 250, 1000, 2500] {
+            let tti_tokens = random_tokens(devices, 1);
+            let mut forward = ForwardPass::new(Arc::clone(&weights), devices);
+            // The steps before the measurement fill the memory of Z TTIs, as in the first group.
+            for _ in 0..shape.memory {
+                forward.step(&tti_tokens);
+            }
+            group.bench_function(BenchmarkId::from_parameter(devices), |bencher| {
+                bencher.iter(|| forward.step(black_box(&tti_tokens))[0]);
+            });
         }
-        group.bench_function(BenchmarkId::from_parameter(devices), |bencher| {
-            bencher.iter(|| forward.step(black_box(&tti_tokens))[0]);
-        });
+        group.finish();
     }
-    group.finish();
 }
 
 criterion_group!(benches, bench_inference);

@@ -1,4 +1,4 @@
-"""Compares the digests of 182 runs with the recorded ones of `digests.tsv`.
+"""Compares the digests of 183 runs with the recorded ones of `digests.tsv`.
 
     python tests/digests/check.py target/release/reveille            # compare, exit code 1 on a difference
     python tests/digests/check.py target/release/reveille --record   # write digests.tsv; give the reason in the commit
@@ -64,6 +64,7 @@ SETTINGS = {
     "age-index-foresight": "-p age-index --set policy.age-index.foresight=20 --set bs.battery_knowledge=reported",
     "age-index-free": "-p age-index --set policy.age-index.price=0",
     "dt-dear": "-p dt --set policy.dt.price=4",
+    "dt-attention": "-p dt --set policy.dt.model=attention",
     "adjusted-one": "-p random --set policy.random.t_drx=[4]",
     "uniform": "-p knn --set layout.kind=uniform",
     "hex": "-p knn --set layout.kind=hex",

@@ -194,8 +194,7 @@ mod transformer {
             assert_refused(&finished, 1, &[file, part]);
         }
         for (args, part) in [
-            // Two heads by default.
-            ("--set policy.dt.width=10", "multiple of 4 times the heads, 8"),
+            ("--set policy.dt.width=10", "multiple of 4 times the heads, 4"),
             ("--rate 0", "--rate 0"),
             ("--rate nan", "--rate"),
         ] {

@@ -66,6 +66,10 @@ fn invalid_figure_requests_are_refused() {
     refused("attention --tti 99 -k 100", &["TTI 99", "must be at most 98"]);
     refused("attention -p knn", &["--policy knn", "for policy dt only"]);
     refused("attention --show 50", &["device 50", "numbered 0 to 49"]);
+    refused(
+        "attention --set policy.dt.model=shipped",
+        &["no attention over time", "policy.dt.model=attention"],
+    );
     refused("timeline -k 500 --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --from 450 --length 100", &["450 to 549", "0 to 499"]);
     refused("timeline -k 500 --from 0 --length 5", &["10 to 2000"]);

@@ -7,6 +7,7 @@ use reveille_lab::preparation::run;
 use reveille_tests::scenarios::overrides;
 
 const UNTRAINED: &str = "policy.dt.model=untrained";
+const ATTENTION: &str = "policy.dt.model=attention";
 
 /// Loads the preset `paper` with the policy and `fields`, or returns the error message.
 fn try_load(policy: &str, fields: &[&str]) -> Result<Scenario, String> {
@@ -63,17 +64,32 @@ fn a_model_whose_shape_differs_from_the_scenario_is_refused() {
         .expect("settings of dt");
     let shape = settings.weights.shape();
     assert_eq!((shape.memory, shape.width, shape.heads), (5, 24, 3));
-    // The shape of the shipped model: memory 8, width 32, 2 heads.
-    assert!(try_load("dt", &["policy.dt.memory=8", "policy.dt.width=32", "policy.dt.heads=2"]).is_ok());
+    // The shape of the model with attention: memory 8, width 32, 2 heads.
+    assert!(
+        try_load(
+            "dt",
+            &[
+                ATTENTION,
+                "policy.dt.memory=8",
+                "policy.dt.width=32",
+                "policy.dt.heads=2"
+            ]
+        )
+        .is_ok()
+    );
     for (fields, message_parts) in [
         (
-            &["policy.dt.memory=4"][..],
+            &[ATTENTION, "policy.dt.memory=4"][..],
             &["policy.dt.memory", "model has 8", "reveille train dt"][..],
         ),
-        (&["policy.dt.width=64"], &["policy.dt.width", "model has 32"]),
-        (&["policy.dt.heads=1"], &["policy.dt.heads", "model has 2"]),
+        (&[ATTENTION, "policy.dt.width=64"], &["policy.dt.width", "model has 32"]),
+        (&[ATTENTION, "policy.dt.heads=1"], &["policy.dt.heads", "model has 2"]),
         (
-            &[UNTRAINED, "policy.dt.width=30"],
+            &["policy.dt.memory=8"],
+            &["policy.dt.memory", "model has 1", "policy.dt.model=attention"],
+        ),
+        (
+            &[UNTRAINED, "policy.dt.width=30", "policy.dt.heads=2"],
             &["policy.dt.width", "multiple of 4 times the heads, 8"],
         ),
         (&[UNTRAINED, "policy.dt.memory=65"], &["policy.dt.memory", "64"]),

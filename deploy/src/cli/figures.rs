@@ -272,7 +272,7 @@ pub(crate) struct MissesFigureArgs {
 /// Arguments of `reveille figures attention`.
 #[derive(Args)]
 pub(crate) struct AttentionArgs {
-    /// Scenario options; the default policy is dt.
+    /// Scenario options; the default policy is dt, with the model `attention`.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// TTI of the decision [default: the end of the warm-up].

@@ -73,9 +73,9 @@ pub(crate) struct DtArgs {
     #[arg(long, default_value = "events", value_name = "OBJECTIVE")]
     #[arg(value_parser = ModelObjective::ALL.map(ModelObjective::name))]
     pub objective: String,
-    /// Disable attention between devices.
+    /// Add attention between devices. `--set policy.dt.memory=Z` with Z above 1 adds attention over Z TTIs.
     #[arg(long)]
-    pub no_space: bool,
+    pub attend_to_devices: bool,
     /// Maximum number of optimiser steps.
     #[arg(long, default_value_t = 3000, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
     pub steps: u64,

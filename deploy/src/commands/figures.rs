@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::anyhow;
+use reveille_bs::policy::dt::settings::{DtSettings, ModelSource};
 use reveille_bs::policy::q_learning::learned::{LearnedTables, TableSet};
 use reveille_bs::policy::registry;
 use reveille_common::ids::Tti;
@@ -266,7 +267,18 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     let mut scenario_args = args.scenario.clone();
     // The only policy with an attention.
     scenario_args.policy.get_or_insert_with(|| "dt".to_owned());
-    let scenario = resolve_with_builtin_policy(&scenario_args)?;
+    let mut scenario = resolve_with_builtin_policy(&scenario_args)?;
+    let settings: Option<&DtSettings> = scenario.policy.settings().downcast_ref();
+    let is_model_given = args
+        .scenario
+        .set
+        .iter()
+        .any(|field| field.starts_with("policy.dt.model="));
+    // The default model has no attention.
+    if settings.is_some_and(|dt| dt.model_source == ModelSource::Shipped) && !is_model_given {
+        scenario_args.set.push("policy.dt.model=attention".to_owned());
+        scenario = resolve_with_builtin_policy(&scenario_args)?;
+    }
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);

@@ -85,10 +85,13 @@ impl Net {
         let (c, t, n, f) = tokens.dims4()?;
         let d = self.shape.width;
         let flat = tokens.reshape((c * t * n, f))?;
-        let embedded = self.linear(&flat, "embed.weight", "embed.bias")?.relu()?;
-        let mut state = self.attend_in_time(&embedded, (c, t, n))?;
+        let mut state = self.linear(&flat, "embed.weight", "embed.bias")?.relu()?;
+        if self.shape.attends_to_past() {
+            state = self.attend_in_time(&state, (c, t, n))?;
+        }
+        state = self.feed_forward(&state, "time")?;
         if self.shape.attends_to_devices {
-            state = self.attend_in_space(&state, (c, t, n))?;
+            state = self.feed_forward(&self.attend_in_space(&state, (c, t, n))?, "space")?;
         }
         let normed = self.norm(&state, "head.norm")?;
         let raw_logs = self.linear(&normed, "head.weight", "head.bias")?;
@@ -115,11 +118,11 @@ impl Net {
         x.broadcast_mul(&inverse_root)?.broadcast_mul(self.var(scale))
     }
 
-    /// Adds a layer with the weights `names`: norm, then weight and bias of the input, then of the output.
-    fn feed_forward(&self, x: &Tensor, names: [&str; 5]) -> Result<Tensor> {
-        let [norm, in_weight, in_bias, out_weight, out_bias] = names;
-        let inner = self.linear(&self.norm(x, norm)?, in_weight, in_bias)?.relu()?;
-        x + self.linear(&inner, out_weight, out_bias)?
+    /// Adds the feed-forward layer whose weights are called `prefix.mix`.
+    fn feed_forward(&self, x: &Tensor, prefix: &str) -> Result<Tensor> {
+        let name = |part: &str| format!("{prefix}.mix.{part}");
+        let inner = self.linear(&self.norm(x, &name("norm"))?, &name("in.weight"), &name("in.bias"))?;
+        x + self.linear(&inner.relu()?, &name("out.weight"), &name("out.bias"))?
     }
 
     /// Applies the attention of each device to its last Z TTIs, to rows `[C·T·N, d]`.
@@ -145,17 +148,7 @@ impl Net {
         let gathered = softmax(&scores, D::Minus1)?.matmul(&value)?;
         let gathered = gathered.reshape((c, n, heads, t, width))?.permute((0, 3, 1, 2, 4))?;
         let gathered = gathered.contiguous()?.reshape((c * t * n, heads * width))?;
-        let attended = (x + gathered.matmul(self.var("time.out"))?)?;
-        self.feed_forward(
-            &attended,
-            [
-                "time.mix.norm",
-                "time.mix.in.weight",
-                "time.mix.in.bias",
-                "time.mix.out.weight",
-                "time.mix.out.bias",
-            ],
-        )
+        x + gathered.matmul(self.var("time.out"))?
     }
 
     /// Returns the bias of the lag between two TTIs, `[heads, T, T]`; a TTI only attends to the last Z.
@@ -195,17 +188,7 @@ impl Net {
             .transpose(1, 2)?
             .contiguous()?
             .reshape((c * t * n, heads * width))?;
-        let attended = (x + gathered.matmul(self.var("space.out"))?)?;
-        self.feed_forward(
-            &attended,
-            [
-                "space.mix.norm",
-                "space.mix.in.weight",
-                "space.mix.in.bias",
-                "space.mix.out.weight",
-                "space.mix.out.bias",
-            ],
-        )
+        x + gathered.matmul(self.var("space.out"))?
     }
 
     /// Returns the values of the weight `name`.

@@ -127,9 +127,10 @@ fn into_model(trained: Trained) -> Vec<u8> {
 fn a_net_returns_the_outputs_of_the_policy() {
     let wide = ModelShape {
         width: 40,
-        ..ModelShape::SHIPPED
+        ..ModelShape::WITH_ATTENTION
     };
-    [SHAPE, ModelShape::SHIPPED, wide].into_iter().for_each(compare_outputs);
+    let included = [ModelShape::SHIPPED, ModelShape::WITH_ATTENTION];
+    included.into_iter().chain([SHAPE, wide]).for_each(compare_outputs);
 }
 
 fn compare_outputs(shape: ModelShape) {

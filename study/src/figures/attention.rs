@@ -53,7 +53,7 @@ impl AttentionFigure {
     /// shows the devices with the largest magnitude in `log_expectations`.
     ///
     /// # Errors
-    /// The policy is not `dt`, or the TTI or a device does not exist.
+    /// The policy is not `dt`, its model has no attention over time, or the TTI or a device does not exist.
     pub fn from_scenario(scenario: &Scenario, tti: Tti, devices: &[u32]) -> Result<Self, FigureError> {
         let Some(settings) = scenario.policy.settings().downcast_ref::<DtSettings>() else {
             return Err(FigureError::NoAttention(scenario.policy.name().to_owned()));
@@ -72,6 +72,9 @@ impl AttentionFigure {
             });
         }
         let shape = settings.weights.shape();
+        if !shape.attends_to_past() {
+            return Err(FigureError::NoAttentionInModel);
+        }
         // The model attends only to the last Z TTIs, so earlier ones need not be replayed through it.
         let first_tti = Tti((tti.0 + 1).saturating_sub(shape.memory as u64));
         let steps = record_steps(scenario, first_tti, tti);

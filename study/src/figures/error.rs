@@ -72,6 +72,9 @@ pub enum FigureError {
     /// The policy has no attention weights; only `dt` has them.
     #[error("--policy {0}: the attention figure is for policy dt only; leave the option out")]
     NoAttention(String),
+    /// The model of `dt` has no attention over time.
+    #[error("policy.dt.model: this model has no attention over time; use --set policy.dt.model=attention")]
+    NoAttentionInModel,
     /// The run has no TTI with this number.
     #[error("TTI {tti}: must be at most {last}; give an earlier TTI, or a longer run with --ttis")]
     NoTti {

@@ -107,6 +107,14 @@ impl Ages {
         self.vector_width.run(GainOf { ages: self, j })
     }
 
+    /// Sets `gains` to the [`Self::gain`] of each device, for callers inlined into [`VectorWidth::run`].
+    #[inline(always)]
+    pub(crate) fn fill_gains(&self, gains: &mut [f64]) {
+        for (j, gain) in gains.iter_mut().enumerate() {
+            *gain = self.inlined_gain(j);
+        }
+    }
+
     /// Returns [`Self::gain`], for callers inlined into [`VectorWidth::run`].
     #[inline(always)]
     fn inlined_gain(&self, j: usize) -> f64 {

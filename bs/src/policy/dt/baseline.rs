@@ -1,23 +1,27 @@
 //! Moving average of each device's ratio of expected events to the expectation by age and α. Where energy is scarce, it
-//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]). Digests depend on it, and
+//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::update_factors`]). Digests depend on it, and
 //! docs/dt.md states its constants. The training does not use it, so a change needs no new model. Without the baseline,
 //! a device at a hot spot would always sense, since its price is always low. That is right while its battery is full.
 //! For a device that spends all its harvest, sensing now costs sensing later, and only the ratio of current to usual
 //! expectation matters.
 
-use reveille_common::units::Energy;
+use pulp::NullaryFnOnce;
+
+use super::vector_math::{exp, log};
+use crate::vector_width::VectorWidth;
 
 /// Time over which expectations are averaged, TTIs.
-const AVERAGING_TTIS: f64 = 512.0;
+const AVERAGING_TTIS: f32 = 512.0;
 
 /// Battery share below which a device is compared only with its own baseline. Between this share and a full battery the
 /// weight of the baseline falls gradually.
-const SCARCE_SHARE: f64 = 0.5;
+const SCARCE_SHARE: f32 = 0.5;
 
 /// Average expectation of each device, as a multiple of the expectation by age and α.
 #[derive(Clone, Debug)]
 pub(super) struct ExpectationBaseline {
-    average_ratios: Vec<f64>,
+    average_ratios: Vec<f32>,
+    vector_width: VectorWidth,
 }
 
 impl ExpectationBaseline {
@@ -25,47 +29,99 @@ impl ExpectationBaseline {
     pub(super) fn new(n: usize) -> Self {
         Self {
             average_ratios: vec![1.0; n],
+            vector_width: VectorWidth::fastest(),
         }
     }
 
-    /// Returns the price factor of device `j` and updates its average; called once per device and TTI. `ratio`, > 0, is
-    /// the ratio of expected events to the expectation by age and α; the battery holds `level` of at most `e_max`. If
-    /// every ratio has been 1, the factor is exactly 1, so that an untrained `dt` decides as `age-index`.
-    pub(super) fn price_factor(&mut self, j: usize, ratio: f64, level: Energy, e_max: Energy) -> f64 {
-        let average_ratio = &mut self.average_ratios[j];
-        *average_ratio += (ratio - *average_ratio) / AVERAGING_TTIS;
-        let missing_share = 1.0 - level.micro() as f64 / e_max.micro() as f64;
-        libm::pow(*average_ratio, (missing_share / (1.0 - SCARCE_SHARE)).clamp(0.0, 1.0)) / ratio
+    /// Computes the price factor of each device and updates its average; called once per TTI. `log_ratios` are the
+    /// logarithms of the ratios of expected events to the expectation by age and α, `levels` the batteries as shares of
+    /// E_max. If every logarithm has been 0, the factors are exactly 1, so that an untrained `dt` decides as
+    /// `age-index`.
+    pub(super) fn update_factors(&mut self, log_ratios: &[f32], levels: &[f32], factors: &mut [f64]) {
+        self.vector_width.run(FactorUpdate {
+            average_ratios: &mut self.average_ratios,
+            log_ratios,
+            levels,
+            factors,
+        });
+    }
+}
+
+/// A call of [`ExpectationBaseline::update_factors`]: a type, since a closure may not be inlined into
+/// [`VectorWidth::run`].
+struct FactorUpdate<'a> {
+    average_ratios: &'a mut [f32],
+    log_ratios: &'a [f32],
+    levels: &'a [f32],
+    factors: &'a mut [f64],
+}
+
+impl NullaryFnOnce for FactorUpdate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let averages = self.average_ratios.iter_mut().zip(self.log_ratios).zip(self.levels);
+        for (((average, &log_ratio), level), factor) in averages.zip(self.factors) {
+            *average += (exp(log_ratio) - *average) / AVERAGING_TTIS;
+            let weight = ((1.0 - level) / (1.0 - SCARCE_SHARE)).clamp(0.0, 1.0);
+            *factor = f64::from(exp(weight * log(*average) - log_ratio));
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use reveille_common::rng::{Purpose, Stream};
+
     use super::*;
 
     #[test]
     fn the_baseline_applies_in_full_to_a_scarce_battery_and_not_to_a_full_one() {
-        let energy = Energy::from_micro;
         let mut baseline = ExpectationBaseline::new(2);
-        assert_eq!(
-            baseline.price_factor(0, 1.0, energy(0), energy(100)).to_bits(),
-            1.0_f64.to_bits()
-        );
-        for _ in 0..20_000 {
-            baseline.price_factor(0, 4.0, energy(100), energy(100));
-            baseline.price_factor(1, 0.5, energy(100), energy(100));
-        }
-        let assert_close = |factor: f64, expected: f64| {
-            assert!(
-                (factor - expected).abs() < 0.01,
-                "price factor {factor}, not {expected}"
-            );
+        let mut factors = |log_ratios: [f32; 2], levels: [f32; 2]| {
+            let mut factors = [0.0; 2];
+            baseline.update_factors(&log_ratios, &levels, &mut factors);
+            factors
         };
-        assert_close(baseline.price_factor(0, 4.0, energy(100), energy(100)), 0.25);
-        assert_close(baseline.price_factor(0, 4.0, energy(75), energy(100)), 0.5);
-        assert_close(baseline.price_factor(0, 4.0, energy(20), energy(100)), 1.0);
-        assert_close(baseline.price_factor(0, 8.0, energy(0), energy(100)), 0.5);
-        assert_close(baseline.price_factor(1, 0.5, energy(100), energy(100)), 2.0);
-        assert_close(baseline.price_factor(1, 0.5, energy(50), energy(100)), 1.0);
+        assert_eq!(factors([0.0; 2], [0.0, 0.3]).map(f64::to_bits), [1.0_f64.to_bits(); 2]);
+        let usual = [4.0, 0.5].map(libm::logf);
+        for _ in 0..20_000 {
+            factors(usual, [1.0; 2]);
+        }
+        for (log_ratios, levels, expected) in [
+            (usual, [1.0, 1.0], [0.25, 2.0]),
+            (usual, [0.75, 0.5], [0.5, 1.0]),
+            (usual, [0.2, 0.0], [1.0, 1.0]),
+            ([8.0, 0.5].map(libm::logf), [0.0, 1.0], [0.5, 2.0]),
+        ] {
+            for (factor, expected) in factors(log_ratios, levels).into_iter().zip(expected) {
+                assert!(
+                    (factor - expected).abs() < 0.01,
+                    "price factor {factor}, not {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn factors_have_the_same_bits_for_every_vector_width() {
+        const N: usize = 37;
+        let mut stream = Stream::new(6, Purpose::Training, 0);
+        let mut draw =
+            |low: f64, high: f64| -> Vec<f32> { (0..N).map(|_| (low + (high - low) * stream.unit()) as f32).collect() };
+        let ttis: Vec<_> = (0..20).map(|_| (draw(-3.0, 3.0), draw(0.0, 1.0))).collect();
+        let factors_with = |width: VectorWidth| {
+            let (mut baseline, mut factors) = (ExpectationBaseline::new(N), vec![0.0; N]);
+            baseline.vector_width = width;
+            for (log_ratios, levels) in &ttis {
+                baseline.update_factors(log_ratios, levels, &mut factors);
+            }
+            factors.iter().map(|factor| factor.to_bits()).collect::<Vec<_>>()
+        };
+        let widths = VectorWidth::supported();
+        for width in &widths[1..] {
+            assert_eq!(factors_with(*width), factors_with(widths[0]), "{width:?}");
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! The policy `dt`, the decision transformer (Sec. V-C, Algorithm 2): learned offline from recorded trajectories, run
 //! online at the BS. Start at [`Dt`] and its `decide`.
 //!
-//! In each TTI every device has a token with the base station's knowledge of it ([`tokens`]). The [`model`] attends
+//! In each TTI every device has a token with the base station's knowledge of it ([`tokens`]). The [`model`] may attend
 //! over the last Z TTIs of each device, then over the devices. It returns the ratio of each device's expected events to
 //! the expectation without history. Devices are then chosen as under `age-index`. Their prices fall with the ratio or,
 //! where energy is scarce, with the ratio to the device's average (`baseline`). The base price is given, or the model
@@ -13,6 +13,7 @@ pub mod model;
 pub mod record;
 pub mod settings;
 pub mod tokens;
+mod vector_math;
 
 use std::sync::Arc;
 
@@ -25,7 +26,7 @@ use self::baseline::ExpectationBaseline;
 use self::model::infer::ForwardPass;
 use self::model::{ModelObjective, OUTPUTS};
 use self::settings::DtSettings;
-use self::tokens::TokenBuilder;
+use self::tokens::{BATTERY, FEATURE_COUNT, TokenBuilder};
 use super::SensingCount;
 use super::factory::{PolicyEntry, PolicyFactory};
 use super::interface::Policy;
@@ -47,9 +48,10 @@ pub struct Dt {
     prices: Prices,
     selector: DeviceSelector,
     candidates: WakeUpCandidates,
-    /// By device, factor by which history changes the expected information of a wake-up; 1 under
-    /// [`ModelObjective::Actions`].
-    wake_factors: Vec<f64>,
+    /// By device, its first output in this TTI.
+    log_ratios: Vec<f32>,
+    /// By device, its battery level in this TTI as a share of E_max.
+    levels: Vec<f32>,
     /// By device, factor of its price in this TTI.
     price_factors: Vec<f64>,
     baseline: ExpectationBaseline,
@@ -73,7 +75,8 @@ impl Dt {
             selector: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known)
                 .with_miss_cost(settings.miss_cost * known.sensing.psi),
-            wake_factors: vec![1.0; known.n()],
+            log_ratios: vec![0.0; known.n()],
+            levels: vec![0.0; known.n()],
             price_factors: vec![1.0; known.n()],
             baseline: ExpectationBaseline::new(known.n()),
             sensing_count: SensingCount::default(),
@@ -96,22 +99,36 @@ impl Dt {
         outputs.iter().enumerate().filter_map(imitated).collect()
     }
 
+    /// Returns the factor by which history changes the expected information of a wake-up of `device`.
+    fn wake_factor(&self, device: DeviceId) -> f64 {
+        match self.objective {
+            ModelObjective::Events => {
+                // `libm` returns the same bits on every machine, so the same model makes the same decisions.
+                f64::from(libm::expf(self.forward_pass.outputs()[device.index() * OUTPUTS + 1]))
+            }
+            ModelObjective::Actions => 1.0,
+        }
+    }
+
     /// Returns the devices whose gain is worth their price.
     fn choose_worthwhile(&mut self, seen: &Observation<'_>) -> Vec<DeviceId> {
-        let outputs = self.forward_pass.step(self.token_builder.tokens());
-        for (j, log_ratios) in outputs.as_chunks::<OUTPUTS>().0.iter().enumerate() {
-            // `libm` returns the same bits on every machine, so the same model makes the same decisions.
-            let [event_ratio, information_ratio] = log_ratios.map(|log| f64::from(libm::expf(log)));
-            let (level, e_max) = (seen.batteries[j], seen.known.devices[j].energy.e_max);
-            self.price_factors[j] = self.baseline.price_factor(j, event_ratio, level, e_max);
-            self.wake_factors[j] = information_ratio;
+        let tokens = self.token_builder.tokens();
+        let outputs = self.forward_pass.step(tokens).as_chunks::<OUTPUTS>().0;
+        for (log_ratio, [event_log, _]) in self.log_ratios.iter_mut().zip(outputs) {
+            *log_ratio = *event_log;
         }
+        for (level, token) in self.levels.iter_mut().zip(tokens.as_chunks::<FEATURE_COUNT>().0) {
+            *level = token[BATTERY];
+        }
+        self.baseline
+            .update_factors(&self.log_ratios, &self.levels, &mut self.price_factors);
         if self.target > 0.0 {
             let target_price = f64::from(libm::expf(self.forward_pass.log_price(self.target as f32)));
             self.price_factors.iter_mut().for_each(|factor| *factor *= target_price);
         }
         let prices = self.prices.scaled_for_levels(seen.batteries, |j| self.price_factors[j]);
-        let mut chosen = self.selector.choose(self.token_builder.ages_mut(), prices);
+        let (ages, gains) = self.token_builder.ages_and_gains();
+        let mut chosen = self.selector.choose_with_gains(ages, prices, gains);
         chosen.sort_unstable();
         chosen
     }
@@ -146,7 +163,7 @@ impl Policy for Dt {
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let (device, gain) = self.candidates.next_candidate(seen, |_| true)?;
-        (gain * self.wake_factors[device.index()] >= MIN_GAIN_SHARE * seen.known.sensing.psi).then_some(device)
+        (gain * self.wake_factor(device) >= MIN_GAIN_SHARE * seen.known.sensing.psi).then_some(device)
     }
 
     fn epicentre_belief(&self) -> Option<&EpicentreBelief> {

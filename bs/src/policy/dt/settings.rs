@@ -20,7 +20,11 @@ use crate::beliefs::ages;
 const MODELS: &[Alternative] = &[
     Alternative {
         name: "shipped",
-        about: "The model shipped with the program.",
+        about: "The model shipped with the program, without attention.",
+    },
+    Alternative {
+        name: "attention",
+        about: "A shipped model with both attentions of the paper's Algorithm 2, over 8 TTIs and between devices.",
     },
     Alternative {
         name: "untrained",
@@ -28,8 +32,8 @@ const MODELS: &[Alternative] = &[
     },
 ];
 
-// The texts repeat the sizes of `ModelShape::SHIPPED`. `price` has the default of `age-index`, which an untrained model
-// must equal.
+// The texts repeat sizes of `ModelShape::SHIPPED` and `WITH_ATTENTION`. `price` has the default of `age-index`, which
+// an untrained model must equal.
 declare! {
     /// Settings of the policy `dt` (Sec. V-C, Algorithm 2).
     #[derive(Clone, Debug)]
@@ -45,12 +49,13 @@ declare! {
         /// Loss, as a share of Ψ, for a wake-up farther than d_max from the event, in the comparison of devices. A
         /// higher loss selects devices that are surer to sense the event but add less information.
         miss_cost: f64 = number(PROBABILITY, 0.16).formerly("in_vain"),
-        /// TTIs Z that a decision attends to. With 0, the value of the model; training uses 8.
+        /// TTIs Z that a decision attends to; 1 means no attention over time. With 0, the value of the model; training
+        /// uses 1.
         memory: u64 = whole(0, MAX_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
         /// Width of a device's embedding, a multiple of 4 times its heads. With 0, the width of the model; training
-        /// uses 32.
+        /// uses 16.
         width: u64 = whole(0, MAX_WIDTH, 0).source("Sec. V-C"),
-        /// Heads of each attention layer. With 0, the number in the model; training uses 2.
+        /// Heads of each attention layer. With 0, the number in the model; training uses 1.
         heads: u64 = whole(0, MAX_HEADS, 0).source("Sec. V-C"),
     }
 }
@@ -63,6 +68,8 @@ const MAX_FILE_BYTES: u64 = 64 << 20;
 pub enum ModelSource {
     /// The model that comes with the program.
     Shipped,
+    /// The model with attention that comes with the program.
+    Attention,
     /// An untrained model.
     Untrained,
     /// A file that `reveille train dt` wrote.
@@ -129,8 +136,8 @@ fn price_without_target(price: f64, target: f64) -> Option<f64> {
     (target <= 0.0).then_some(price)
 }
 
-fn shipped_model() -> ModelWeights {
-    ModelWeights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
+fn included_model(bytes: &[u8]) -> ModelWeights {
+    ModelWeights::read(bytes).expect("the model of this program")
 }
 
 impl DtSettings {
@@ -155,7 +162,14 @@ impl DtSettings {
             heads: fields.heads,
         };
         let (model_source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
-            "shipped" => (ModelSource::Shipped, shipped_model()),
+            "shipped" => (
+                ModelSource::Shipped,
+                included_model(include_bytes!("shipped.safetensors")),
+            ),
+            "attention" => (
+                ModelSource::Attention,
+                included_model(include_bytes!("attention.safetensors")),
+            ),
             "untrained" => {
                 let shape = requested_shape.with_defaults(ModelShape::SHIPPED);
                 if !shape.is_valid() {
@@ -177,10 +191,13 @@ impl DtSettings {
             }
         };
         if let Some((name, requested, actual)) = requested_shape.first_difference(weights.shape()) {
-            let allowed = format!(
-                "the model has {actual}; omit the field, or train one: reveille train dt --set \
-                 policy.dt.{name}={requested}"
-            );
+            let attention = ModelShape::WITH_ATTENTION;
+            let alternative = if requested_shape.first_difference(attention).is_none() {
+                "choose policy.dt.model=attention".to_owned()
+            } else {
+                format!("train one: reveille train dt --set policy.dt.{name}={requested}")
+            };
+            let allowed = format!("the model has {actual}; omit the field, or {alternative}");
             return Err(reader.invalid_value(&format!("policy.dt.{name}"), requested, allowed));
         }
         let has_learned_price =
@@ -210,6 +227,7 @@ impl Visit for DtSettings {
     fn visit(&self, sink: &mut dyn FieldSink) {
         let model = match &self.model_source {
             ModelSource::Shipped => "shipped".into(),
+            ModelSource::Attention => "attention".into(),
             ModelSource::Untrained => "untrained".into(),
             ModelSource::File(path) => path.to_string_lossy(),
         };

@@ -164,8 +164,7 @@ fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
         .expect("a scenario of the policy dt");
     Ok(DtTrainingConfig {
         shape: ModelShape {
-            // `--no-space` turns off the attention over space, which is between devices.
-            attends_to_devices: !args.no_space,
+            attends_to_devices: args.attend_to_devices,
             objective: args.objective(),
             ..settings.weights.shape()
         },

@@ -51,6 +51,8 @@ struct Choice<'s> {
     selector: &'s mut DeviceSelector,
     ages: &'s mut Ages,
     prices: &'s [f64],
+    /// `None` to compute them.
+    gains_alone: Option<&'s [f64]>,
 }
 
 impl NullaryFnOnce for Choice<'_> {
@@ -58,7 +60,16 @@ impl NullaryFnOnce for Choice<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { selector, ages, prices } = self;
+        let Self {
+            selector,
+            ages,
+            prices,
+            gains_alone,
+        } = self;
+        match gains_alone {
+            None => ages.fill_gains(&mut selector.gains_alone),
+            Some(gains) => selector.gains_alone.copy_from_slice(gains),
+        }
         selector.choose_greedily(ages, prices);
         selector.replace_chosen(ages, prices);
     }
@@ -92,11 +103,25 @@ impl DeviceSelector {
     /// price. Then each chosen device is removed in turn, `IMPROVEMENT_ROUNDS` times. Of this device and the others
     /// within d_max, the one with the largest positive worth less price takes its slot. Otherwise the slot stays empty.
     pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {
+        self.choose_by(ages, prices, None)
+    }
+
+    /// Chooses like [`Self::choose`]. `gains` are the [`Ages::gain`] of all devices, which it would compute first.
+    pub(crate) fn choose_with_gains(&mut self, ages: &mut Ages, prices: &[f64], gains: &[f64]) -> Vec<DeviceId> {
+        debug_assert!(
+            (0..gains.len()).all(|j| gains[j].to_bits() == ages.gain(j).to_bits()),
+            "current gains"
+        );
+        self.choose_by(ages, prices, Some(gains))
+    }
+
+    fn choose_by(&mut self, ages: &mut Ages, prices: &[f64], gains_alone: Option<&[f64]>) -> Vec<DeviceId> {
         self.chosen.clear();
         self.vector_width.run(Choice {
             selector: self,
             ages,
             prices,
+            gains_alone,
         });
         self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
     }
@@ -108,11 +133,10 @@ impl DeviceSelector {
         // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
         let mut keys = std::mem::take(&mut self.heap).into_vec();
         keys.clear();
-        let alone = self.gains_alone.iter_mut().zip(&mut self.nets_alone);
-        for (((gain_alone, net_alone), &price), j) in alone.zip(prices).zip(0..) {
-            *gain_alone = ages.inlined_gain(j as usize);
-            *net_alone = *gain_alone - price;
-            if let Some(key) = ratio_key(*gain_alone, price, j) {
+        let alone = self.gains_alone.iter().zip(&mut self.nets_alone);
+        for (((&gain_alone, net_alone), &price), j) in alone.zip(prices).zip(0..) {
+            *net_alone = gain_alone - price;
+            if let Some(key) = ratio_key(gain_alone, price, j) {
                 keys.push(key);
             }
         }

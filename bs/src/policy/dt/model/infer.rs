@@ -1,12 +1,12 @@
 //! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, without the limit
 //! of the price; `tests.rs` here repeats it as well. A change needs new models: raise
-//! [`FORMAT_VERSION`](super::weights::FORMAT_VERSION) and train the shipped one again. The bits of the result are the
-//! same for every [`VectorWidth`]; digests depend on them.
+//! [`FORMAT_VERSION`](super::weights::FORMAT_VERSION) and train both included ones again. The bits of the result are
+//! the same for every [`VectorWidth`]; digests depend on them.
 //!
-//! A token attends to the last Z TTIs of the same device, whose keys and values are kept: Eqs. (`delta(k)2`) and
-//! (`delta(k)3`) in the LaTeX source of the paper. Then, if `attends_to_devices`, the devices attend to each other.
-//! There the weight of a pair is the dot product of positive features of a key and a query, without an exponential
-//! (linear attention). The time thus grows with N and not with N². A TTI needs no allocation.
+//! If `attends_to_past`, a token attends to the last Z TTIs of the same device, whose keys and values are kept: Eqs.
+//! (`delta(k)2`) and (`delta(k)3`) in the LaTeX source of the paper. Then, if `attends_to_devices`, the devices attend
+//! to each other. There the weight of a pair is the dot product of positive features of a key and a query, without an
+//! exponential (linear attention). The time thus grows with N and not with N². A TTI needs no allocation.
 
 use std::sync::Arc;
 
@@ -38,6 +38,8 @@ pub struct ForwardPass {
     values: Vec<f32>,
     /// Embedding of each device, to which every layer adds its output, `[N, d]`.
     state: Vec<f32>,
+    /// Scratch space of a norm, `[N]`.
+    inverse_norms: Vec<f32>,
     /// `state` after a norm, `[N, d]`; after [`Self::step`], the input of the output layer.
     normalised: Vec<f32>,
     /// `[N, d]`.
@@ -77,7 +79,8 @@ impl ForwardPass {
     /// Creates the state for `devices` devices, before the first TTI.
     pub fn new(weights: Arc<ModelWeights>, devices: usize) -> Self {
         let shape = weights.shape;
-        let (d, z) = (shape.width, shape.memory);
+        let d = shape.width;
+        let z = if shape.attends_to_past() { shape.memory } else { 0 };
         let per_device_buffer = || vec![0.0; devices * d];
         Self {
             vector_width: VectorWidth::fastest(),
@@ -86,6 +89,7 @@ impl ForwardPass {
             keys: vec![0.0; z * devices * d],
             values: vec![0.0; z * devices * d],
             state: per_device_buffer(),
+            inverse_norms: vec![0.0; devices],
             normalised: per_device_buffer(),
             query: per_device_buffer(),
             gathered: per_device_buffer(),
@@ -123,15 +127,29 @@ impl ForwardPass {
         let weights = Arc::clone(&self.weights);
         weights.embed.apply(tokens, &mut self.state);
         relu(&mut self.state);
-        self.attend_in_time(&weights);
-        if let Some(space) = &weights.space {
-            self.attend_in_space(space);
+        if let Some((time, lag_bias)) = &weights.time {
+            self.attend_in_time(time, lag_bias);
         }
-        rms_norm(&self.state, &weights.output_norm, &mut self.normalised);
+        self.feed_forward(&weights.feed_forward);
+        if let Some((space, feed_forward)) = &weights.space {
+            self.attend_in_space(space);
+            self.feed_forward(feed_forward);
+        }
+        rms_norm(
+            &self.state,
+            &weights.output_norm,
+            &mut self.inverse_norms,
+            &mut self.normalised,
+        );
         weights.output.apply(&self.normalised, &mut self.outputs);
         for out in &mut self.outputs {
             *out = OUTPUT_LIMIT * *out / (1.0 + out.abs());
         }
+    }
+
+    /// Returns the outputs of the last [`Self::step`].
+    pub fn outputs(&self) -> &[f32] {
+        &self.outputs
     }
 
     /// Returns the logarithm of the price in the TTI of the last [`Self::step`], within ± `LOG_PRICE_LIMIT`. `target`
@@ -156,18 +174,17 @@ impl ForwardPass {
     }
 
     /// Returns the attention of each device in the last step, `[N, heads, Z]` by lag; each row sums to 1. Lags
-    /// before the first TTI have 0.
+    /// before the first TTI have 0. Empty for a model without attention over time.
     pub fn attention(&self) -> &[f32] {
         &self.attention
     }
 
     #[inline(always)]
-    fn attend_in_time(&mut self, weights: &ModelWeights) {
-        let shape = weights.shape;
+    fn attend_in_time(&mut self, time: &AttentionLayer, lag_bias: &[f32]) {
+        let shape = self.weights.shape;
         let (d, z, head_width) = (shape.width, shape.memory, shape.head_width());
-        let time = &weights.time;
         let (slot, tti_len) = (self.ttis_processed % z, self.devices * d);
-        rms_norm(&self.state, &time.norm, &mut self.normalised);
+        rms_norm(&self.state, &time.norm, &mut self.inverse_norms, &mut self.normalised);
         time.query.apply(&self.normalised, &mut self.query);
         time.key
             .apply(&self.normalised, &mut self.keys[slot * tti_len..(slot + 1) * tti_len]);
@@ -183,7 +200,7 @@ impl ForwardPass {
             let scores = self.attention[lag..].iter_mut().step_by(z);
             let pairs = self.query.chunks_exact(head_width).zip(keys.chunks_exact(head_width));
             for ((score, (query, key)), head) in scores.zip(pairs).zip((0..shape.heads).cycle()) {
-                *score = dot(query, key) * scale + weights.lag_bias[head * z + lag];
+                *score = dot(query, key) * scale + lag_bias[head * z + lag];
             }
         }
         softmax(&mut self.attention, z, known_lags);
@@ -196,14 +213,13 @@ impl ForwardPass {
         }
         time.out.apply(&self.gathered, &mut self.projected);
         add(&mut self.state, &self.projected);
-        self.feed_forward(&time.feed_forward);
     }
 
     #[inline(always)]
     fn attend_in_space(&mut self, space: &AttentionLayer) {
         let shape = self.weights.shape;
         let (d, head_width) = (shape.width, shape.head_width());
-        rms_norm(&self.state, &space.norm, &mut self.normalised);
+        rms_norm(&self.state, &space.norm, &mut self.inverse_norms, &mut self.normalised);
         space.query.apply(&self.normalised, &mut self.query);
         // Keys and values of this TTI alone, in buffers that the temporal attention no longer needs.
         let (keys, values) = (&mut self.gathered, &mut self.projected);
@@ -237,12 +253,11 @@ impl ForwardPass {
         }
         space.out.apply(&self.gathered, &mut self.projected);
         add(&mut self.state, &self.projected);
-        self.feed_forward(&space.feed_forward);
     }
 
     #[inline(always)]
     fn feed_forward(&mut self, layer: &FeedForward) {
-        rms_norm(&self.state, &layer.norm, &mut self.normalised);
+        rms_norm(&self.state, &layer.norm, &mut self.inverse_norms, &mut self.normalised);
         layer.inner.apply(&self.normalised, &mut self.hidden);
         relu(&mut self.hidden);
         layer.outer.apply(&self.hidden, &mut self.projected);

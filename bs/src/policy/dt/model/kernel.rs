@@ -9,6 +9,8 @@
 //! Loops over `as_chunks` take four columns at a time and silently skip a remainder. Rows must therefore have a
 //! multiple of four columns, as [`super::ModelShape::is_valid`] requires of a head.
 
+use super::super::vector_math::exp;
+
 /// Number of output columns that are computed side by side.
 const TILE_COLUMNS: usize = 16;
 /// Number of output rows that share a load of the weights.
@@ -210,10 +212,11 @@ fn pad_to_tile(row: &[f32]) -> [f32; TILE_COLUMNS] {
 }
 
 /// Computes `out = x · scale / rms(x)` for each row. The row length is the length of `scale`, a multiple of four.
+/// `inverses` has a number per row, of which the inverse roots are computed side by side.
 #[inline(always)]
-pub(super) fn rms_norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
+pub(super) fn rms_norm(x: &[f32], scale: &[f32], inverses: &mut [f32], out: &mut [f32]) {
     let width = scale.len();
-    for (x, out) in x.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
+    for (x, inverse) in x.chunks_exact(width).zip(inverses.iter_mut()) {
         let (x, _) = x.as_chunks::<4>();
         let mut lanes = [0.0_f32; 4];
         for x in x {
@@ -222,10 +225,15 @@ pub(super) fn rms_norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
             }
         }
         // A fixed order of lanes keeps the bits independent of the vector instructions.
-        let mean = ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) / width as f32;
-        let inverse = 1.0 / (mean + NORM_EPSILON).sqrt();
+        *inverse = (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
+    }
+    for inverse in inverses.iter_mut() {
+        *inverse = 1.0 / (*inverse / width as f32 + NORM_EPSILON).sqrt();
+    }
+    let rows = x.chunks_exact(width).zip(out.chunks_exact_mut(width));
+    for ((x, out), inverse) in rows.zip(inverses.iter()) {
         let (out, _) = out.as_chunks_mut::<4>();
-        for ((out, x), scale) in out.iter_mut().zip(x).zip(scale.as_chunks::<4>().0) {
+        for ((out, x), scale) in out.iter_mut().zip(x.as_chunks::<4>().0).zip(scale.as_chunks::<4>().0) {
             for lane in 0..4 {
                 out[lane] = x[lane] * inverse * scale[lane];
             }
@@ -280,27 +288,6 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3])
 }
 
-/// Returns e^x within two units in the last place, for x up to 88; 0 below [`MIN_EXPONENT`]. A polynomial allows many
-/// values to be computed side by side.
-#[inline(always)]
-pub(super) fn exp(x: f32) -> f32 {
-    let clamped = x.max(MIN_EXPONENT);
-    // Adding 3·2²² rounds to a whole number, which is then in the lowest bits.
-    let rounded = clamped * std::f32::consts::LOG2_E + 12_582_912.0;
-    let whole = rounded - 12_582_912.0;
-    // ln 2 in two parts, the first with so few bits that its products are exact.
-    let remainder = (clamped - whole * (355.0 / 512.0)) - whole * -2.121_944_4e-4;
-    let series = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0];
-    let mut sum = series[0];
-    for term in &series[1..] {
-        sum = sum * remainder + term;
-    }
-    // The whole number moves into the exponent bits, which are offset by 127.
-    let power = f32::from_bits(rounded.to_bits().wrapping_add(127) << 23);
-    let value = (sum * remainder + 1.0) * power;
-    if x < MIN_EXPONENT { 0.0 } else { value }
-}
-
 /// Replaces each row of `scores`, of length `width`, by shares that sum to 1. The shares are proportional to the
 /// exponentials of the first `known_count` scores, at least one; the others are 0.
 #[inline(always)]
@@ -328,9 +315,6 @@ pub(super) fn softmax(scores: &mut [f32], width: usize, known_count: usize) {
         }
     }
 }
-
-/// Exponent below which e^x is treated as 0.
-const MIN_EXPONENT: f32 = -87.0;
 
 #[cfg(test)]
 mod tests {
@@ -366,25 +350,10 @@ mod tests {
     }
 
     #[test]
-    fn exp_is_accurate_to_single_precision() {
-        for step in -87_000..=20_000 {
-            let x = step as f32 / 1000.0;
-            let exact = libm::exp(f64::from(x));
-            assert!(
-                (f64::from(exp(x)) / exact - 1.0).abs() < 2.5e-7,
-                "exp({x}) = {}, not {exact}",
-                exp(x)
-            );
-        }
-        let bits = [0.0, -1000.0, f32::NEG_INFINITY].map(|x| exp(x).to_bits());
-        assert_eq!(bits, [1.0_f32, 0.0, 0.0].map(f32::to_bits));
-    }
-
-    #[test]
     fn rms_norm_gives_mean_square_one_and_dot_adds_products() {
         let (x, scale) = (random_values(64, 4), vec![1.0; 32]);
         let mut out = vec![0.0; 64];
-        rms_norm(&x, &scale, &mut out);
+        rms_norm(&x, &scale, &mut [0.0; 2], &mut out);
         for row in out.chunks(32) {
             let mean_square = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
             assert!((mean_square - 1.0).abs() < 1e-3, "mean square {mean_square}");

@@ -18,7 +18,7 @@ pub(crate) const MAX_MEMORY: u64 = 64;
 pub(crate) const MAX_WIDTH: u64 = 256;
 /// Largest number of heads.
 pub(crate) const MAX_HEADS: u64 = 16;
-/// Width of the layers between attentions, in widths of the model. This and the next two constants size tensors, so a
+/// Width of the feed-forward layers, in widths of the model. This and the next two constants size tensors, so a
 /// change invalidates all model files.
 pub(crate) const EXPANSION: usize = 2;
 /// Width of the layer that turns a target into a price.
@@ -52,7 +52,7 @@ impl ModelObjective {
 /// Shape of a model, independent of N.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModelShape {
-    /// Number Z of TTIs that a decision attends to, including its own.
+    /// Number Z of TTIs that a decision attends to, including its own. With 1 there is no attention over time.
     pub memory: usize,
     /// Width d of a token's embedding, a multiple of 4 · `heads`: the kernel processes the columns of a head four by
     /// four.
@@ -69,6 +69,16 @@ impl ModelShape {
     /// Shape of the model that comes with the program (`../shipped.safetensors`), and default of an untrained model.
     /// The texts of the fields in `../settings.rs` repeat the sizes.
     pub const SHIPPED: Self = Self {
+        memory: 1,
+        width: 16,
+        heads: 1,
+        attends_to_devices: false,
+        objective: ModelObjective::Events,
+    };
+
+    /// Shape of the second model that comes with the program (`../attention.safetensors`), with both attentions of the
+    /// paper's Algorithm 2.
+    pub const WITH_ATTENTION: Self = Self {
         memory: 8,
         width: 32,
         heads: 2,
@@ -85,31 +95,42 @@ impl ModelShape {
             && self.width.is_multiple_of(4 * self.heads)
     }
 
+    /// Whether a device attends to earlier TTIs.
+    pub const fn attends_to_past(&self) -> bool {
+        self.memory > 1
+    }
+
     /// Width of a head.
     pub const fn head_width(&self) -> usize {
         self.width / self.heads
     }
 
     /// Returns the names and sizes of all tensors. In the names, `time` and `space` are the attention layers, `mix` is
-    /// a feed-forward layer and `head` the output layer, not a head of an attention. The training draws initial values
-    /// by the order, and chooses their distribution by the names.
+    /// a feed-forward layer and `head` the output layer, not a head of an attention. A model without attention has
+    /// `time.mix` too. The training draws initial values by the order, and chooses their distribution by the names.
     pub fn tensors(&self) -> Vec<(&'static str, Vec<usize>)> {
         let (d, wide) = (self.width, EXPANSION * self.width);
         let mut tensors = vec![
             ("embed.weight", vec![tokens::FEATURE_COUNT, d]),
             ("embed.bias", vec![d]),
-            ("time.norm", vec![d]),
-            ("time.query", vec![d, d]),
-            ("time.key", vec![d, d]),
-            ("time.value", vec![d, d]),
-            ("time.out", vec![d, d]),
-            ("time.bias", vec![self.heads, self.memory]),
+        ];
+        if self.attends_to_past() {
+            tensors.extend([
+                ("time.norm", vec![d]),
+                ("time.query", vec![d, d]),
+                ("time.key", vec![d, d]),
+                ("time.value", vec![d, d]),
+                ("time.out", vec![d, d]),
+                ("time.bias", vec![self.heads, self.memory]),
+            ]);
+        }
+        tensors.extend([
             ("time.mix.norm", vec![d]),
             ("time.mix.in.weight", vec![d, wide]),
             ("time.mix.in.bias", vec![wide]),
             ("time.mix.out.weight", vec![wide, d]),
             ("time.mix.out.bias", vec![d]),
-        ];
+        ]);
         if self.attends_to_devices {
             tensors.extend([
                 ("space.norm", vec![d]),

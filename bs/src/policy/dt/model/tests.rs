@@ -1,5 +1,5 @@
 //! Tests of [`ForwardPass`] against a second calculation in double precision that keeps no state between TTIs, of
-//! [`ModelWeights`] with invalid files, and of the metadata of the shipped model. No test reaches the limit of the
+//! [`ModelWeights`] with invalid files, and of the metadata of the included models. No test reaches the limit of the
 //! price. Training is tested in the crate `lab`, decisions of the policy in `tests/tests/dt.rs`.
 
 use std::collections::BTreeMap;
@@ -109,7 +109,7 @@ impl Reference<'_> {
     }
 
     /// Returns the state of device `j` in the last of `ttis` (the tokens of each TTI), after it has attended to earlier
-    /// TTIs.
+    /// TTIs if the shape has this attention.
     fn attend_across_ttis(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
         let ModelShape {
             memory, width, heads, ..
@@ -120,6 +120,9 @@ impl Reference<'_> {
             .take(memory)
             .map(|tokens| self.embed(&tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT]))
             .collect();
+        if memory == 1 {
+            return self.mix(&states[0], "time");
+        }
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "time.norm")).collect();
         let query = self.linear(&normed[0], "time.query", None);
         let head_width = width / heads;
@@ -208,10 +211,14 @@ impl Reference<'_> {
 
 #[test]
 fn every_vector_width_gives_the_same_bits() {
+    for shape in [ModelShape::SHIPPED, ModelShape::WITH_ATTENTION] {
+        compare_vector_widths(shape);
+    }
+}
+
+fn compare_vector_widths(shape: ModelShape) {
     let n = 53;
-    let weights = Arc::new(
-        ModelWeights::read(&model_file(ModelShape::SHIPPED, &random_tensors(ModelShape::SHIPPED))).expect("a model"),
-    );
+    let weights = Arc::new(ModelWeights::read(&model_file(shape, &random_tensors(shape))).expect("a model"));
     let outputs_with = |width: VectorWidth| -> Vec<u32> {
         let mut forward = ForwardPass::new(Arc::clone(&weights), n).with_vector_width(width);
         let step = |tokens: &Vec<f32>| {
@@ -237,18 +244,13 @@ fn every_vector_width_gives_the_same_bits() {
 
 #[test]
 fn a_step_equals_the_reference_model() {
-    let shipped = ModelShape::SHIPPED;
     let shapes = [
         (4, 16, 2, true, 7),
         (1, 8, 1, true, 1),
         (8, 32, 4, false, 5),
-        (
-            shipped.memory,
-            shipped.width,
-            shipped.heads,
-            shipped.attends_to_devices,
-            9,
-        ),
+        // The sizes of the two included models.
+        (1, 16, 1, false, 9),
+        (8, 32, 2, true, 9),
         // Heads wider than a vector, and of a width that is not a multiple of one.
         (3, 40, 2, true, 6),
         (2, 72, 2, true, 3),
@@ -296,8 +298,12 @@ fn a_step_equals_the_reference_model() {
 }
 
 #[test]
-fn the_shipped_model_contains_no_path_of_a_machine() {
-    let bytes = include_bytes!("../shipped.safetensors");
+fn the_included_models_contain_no_path_of_a_machine() {
+    check_for_paths(include_bytes!("../shipped.safetensors"));
+    check_for_paths(include_bytes!("../attention.safetensors"));
+}
+
+fn check_for_paths(bytes: &[u8]) {
     // A safetensors file: the length of the header in eight bytes, then the header.
     let (length, after_length) = bytes.split_first_chunk().expect("a length");
     let header = &after_length[..u64::from_le_bytes(*length) as usize];
@@ -311,7 +317,7 @@ fn the_shipped_model_contains_no_path_of_a_machine() {
 
 #[test]
 fn the_order_of_devices_does_not_matter() {
-    let shape = ModelShape::SHIPPED;
+    let shape = ModelShape::WITH_ATTENTION;
     let weights = Arc::new(ModelWeights::read(&model_file(shape, &random_tensors(shape))).expect("a model"));
     let (mut forward, mut reversed) = (ForwardPass::new(Arc::clone(&weights), 6), ForwardPass::new(weights, 6));
     for tokens in random_tokens(6, 5) {
@@ -330,7 +336,7 @@ fn the_order_of_devices_does_not_matter() {
 
 #[test]
 fn invalid_model_files_are_refused() {
-    let shape = ModelShape::SHIPPED;
+    let shape = ModelShape::WITH_ATTENTION;
     let file = model_file(shape, &random_tensors(shape));
     assert!(ModelWeights::read(&file).is_ok());
     for cut in [0, 7, 100, file.len() / 2, file.len() - 1] {
@@ -363,6 +369,12 @@ fn invalid_model_files_are_refused() {
     // Tensors of one shape in a file for another, invalid shapes, and a file of another program.
     let other_shape = ModelShape { memory: 4, ..shape };
     assert!(ModelWeights::read(&model_file(other_shape, &random_tensors(shape))).is_err());
+    // A model of version 0.1 with Z = 1 had an attention over that one TTI.
+    let single_tti = ModelShape { memory: 1, ..shape };
+    let mut former_tensors = random_tensors(single_tti);
+    former_tensors.insert("time.norm", (vec![shape.width], vec![1.0; shape.width]));
+    let former = ModelWeights::read(&model_file(single_tti, &former_tensors)).expect_err("refused");
+    assert!(former.to_string().contains("reveille train dt"), "{former}");
     for width in [0, 6, 260] {
         let invalid_shape = ModelShape { width, ..shape };
         let error = ModelWeights::read(&model_file(invalid_shape, &random_tensors(shape))).expect_err("refused");

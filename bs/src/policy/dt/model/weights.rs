@@ -15,7 +15,7 @@ use super::kernel::Linear;
 use super::{EXPANSION, MAX_HEADS, MAX_MEMORY, MAX_WIDTH, ModelObjective, ModelShape, PRICE_WIDTH};
 
 /// Version of the file format. Raise it when the meaning of features or tensors changes, and train
-/// `../shipped.safetensors` again: files of other versions are refused.
+/// `../shipped.safetensors` and `../attention.safetensors` again: files of other versions are refused.
 pub const FORMAT_VERSION: &str = "1";
 
 /// Only key of the metadata. Its value is a JSON object of strings, sorted by key, so that the contents determine the
@@ -53,7 +53,10 @@ pub enum ModelError {
         wanted: String,
     },
     /// A tensor is missing or unexpected, or has another shape or type.
-    #[error("its tensor {name} is {found}, not {wanted}; the file is damaged or from another program")]
+    #[error(
+        "its tensor {name} is {found}, not {wanted}; the file is damaged or from another version; train one: \
+             reveille train dt"
+    )]
     Tensor {
         /// Name of the tensor.
         name: String,
@@ -67,7 +70,8 @@ pub enum ModelError {
     NotFinite(String),
 }
 
-/// Feed-forward layer after an attention: `mix` in the names of tensors. `norm` is the scale of the norm of its input.
+/// Feed-forward layer after the embedding or an attention: `mix` in the names of tensors. `norm` is the scale of the
+/// norm of its input.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FeedForward {
     pub(super) norm: Vec<f32>,
@@ -75,7 +79,7 @@ pub(crate) struct FeedForward {
     pub(super) outer: Linear,
 }
 
-/// Attention layer: the scale of the norm of its input, queries, keys and values, and the feed-forward layer after it.
+/// Attention layer: the scale of the norm of its input, queries, keys and values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttentionLayer {
     pub(super) norm: Vec<f32>,
@@ -83,7 +87,6 @@ pub struct AttentionLayer {
     pub(super) key: Linear,
     pub(super) value: Linear,
     pub(super) out: Linear,
-    pub(super) feed_forward: FeedForward,
 }
 
 /// Weights of a model.
@@ -91,12 +94,13 @@ pub struct AttentionLayer {
 pub struct ModelWeights {
     pub(super) shape: ModelShape,
     pub(super) embed: Linear,
-    /// Attention of a device to its last Z TTIs.
-    pub(super) time: AttentionLayer,
-    /// Offset of the score of temporal attention by head and lag, `[heads, Z]`.
-    pub(super) lag_bias: Vec<f32>,
-    /// Attention of devices to each other, if [`ModelShape::attends_to_devices`].
-    pub(super) space: Option<AttentionLayer>,
+    /// Attention of a device to its last Z TTIs, if [`ModelShape::attends_to_past`], with the offset of the score by
+    /// head and lag, `[heads, Z]`.
+    pub(super) time: Option<(AttentionLayer, Vec<f32>)>,
+    /// The layer after the temporal attention, or after the embedding without one.
+    pub(super) feed_forward: FeedForward,
+    /// Attention of devices to each other, if [`ModelShape::attends_to_devices`], with the layer after it.
+    pub(super) space: Option<(AttentionLayer, FeedForward)>,
     pub(super) output_norm: Vec<f32>,
     pub(super) output: Linear,
     /// The two layers from the mean over devices and the target to the logarithm of the price.
@@ -156,73 +160,43 @@ impl ModelWeights {
     /// Assembles the layers from `tensors`, whose names and sizes [`ModelShape::tensors`] lists.
     fn assemble(shape: ModelShape, mut tensors: Tensors, metadata: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
         let (d, wide) = (shape.width, EXPANSION * shape.width);
-        let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
-        let mut attention = |names: [&str; 10]| {
-            let [
-                norm,
-                query,
-                key,
-                value,
-                out,
-                mix,
-                in_weight,
-                in_bias,
-                out_weight,
-                out_bias,
-            ] = names;
+        let take = |tensors: &mut Tensors, name: &str| tensors.remove(name).expect("all tensors were read");
+        let attention = |tensors: &mut Tensors, layer: &str| {
+            let mut square = |part: &str| Linear::without_bias(d, d, &take(tensors, &format!("{layer}.{part}")));
             AttentionLayer {
-                norm: take(norm),
-                query: Linear::without_bias(d, d, &take(query)),
-                key: Linear::without_bias(d, d, &take(key)),
-                value: Linear::without_bias(d, d, &take(value)),
-                out: Linear::without_bias(d, d, &take(out)),
-                feed_forward: FeedForward {
-                    norm: take(mix),
-                    inner: Linear::new(d, &take(in_weight), &take(in_bias)),
-                    outer: Linear::new(wide, &take(out_weight), &take(out_bias)),
-                },
+                query: square("query"),
+                key: square("key"),
+                value: square("value"),
+                out: square("out"),
+                norm: take(tensors, &format!("{layer}.norm")),
             }
         };
-        let time = attention([
-            "time.norm",
-            "time.query",
-            "time.key",
-            "time.value",
-            "time.out",
-            "time.mix.norm",
-            "time.mix.in.weight",
-            "time.mix.in.bias",
-            "time.mix.out.weight",
-            "time.mix.out.bias",
-        ]);
-        let space = shape.attends_to_devices.then(|| {
-            attention([
-                "space.norm",
-                "space.query",
-                "space.key",
-                "space.value",
-                "space.out",
-                "space.mix.norm",
-                "space.mix.in.weight",
-                "space.mix.in.bias",
-                "space.mix.out.weight",
-                "space.mix.out.bias",
-            ])
-        });
-        let mut linear = |inputs: usize, weight: &str, bias: &str| {
-            let (weight, bias) = (take(weight), take(bias));
-            Linear::new(inputs, &weight, &bias)
+        let feed_forward = |tensors: &mut Tensors, layer: &str| {
+            let mut part = |part: &str| take(tensors, &format!("{layer}.mix.{part}"));
+            FeedForward {
+                norm: part("norm"),
+                inner: Linear::new(d, &part("in.weight"), &part("in.bias")),
+                outer: Linear::new(wide, &part("out.weight"), &part("out.bias")),
+            }
+        };
+        let linear = |tensors: &mut Tensors, inputs: usize, layer: &str| {
+            let (weight, bias) = (format!("{layer}.weight"), format!("{layer}.bias"));
+            Linear::new(inputs, &take(tensors, &weight), &take(tensors, &bias))
         };
         Self {
-            embed: linear(FEATURES.len(), "embed.weight", "embed.bias"),
-            output: linear(d, "head.weight", "head.bias"),
-            price_inner: linear(d + 1, "price.in.weight", "price.in.bias"),
-            price_outer: linear(PRICE_WIDTH, "price.out.weight", "price.out.bias"),
-            lag_bias: take("time.bias"),
-            output_norm: take("head.norm"),
+            embed: linear(&mut tensors, FEATURES.len(), "embed"),
+            time: shape
+                .attends_to_past()
+                .then(|| (attention(&mut tensors, "time"), take(&mut tensors, "time.bias"))),
+            feed_forward: feed_forward(&mut tensors, "time"),
+            space: shape
+                .attends_to_devices
+                .then(|| (attention(&mut tensors, "space"), feed_forward(&mut tensors, "space"))),
+            output_norm: take(&mut tensors, "head.norm"),
+            output: linear(&mut tensors, d, "head"),
+            price_inner: linear(&mut tensors, d + 1, "price.in"),
+            price_outer: linear(&mut tensors, PRICE_WIDTH, "price.out"),
             shape,
-            time,
-            space,
             metadata,
             hash,
         }
