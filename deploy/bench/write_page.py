@@ -47,13 +47,13 @@ def measure(command, program):
 def main():
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    program, words = Path(sys.argv[1]).resolve(), sys.argv[2:]
+    program, words = Path(sys.argv[1]).resolve(), set(sys.argv[2:])
     if not program.is_file():
         sys.exit(f"{program}: no such file; build it: cargo build --release")
     commands = [block["command"] for block in BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]
-    wanted = [c for c in commands if not words or any(word in c.split() for word in words)]
+    wanted = [command for command in commands if not words or not words.isdisjoint(command.split())]
     if not wanted:
-        sys.exit(f"no command with {' or '.join(words)}; the page has:\n" + "\n".join(commands))
+        sys.exit(f"no command with {' or '.join(sorted(words))}; the page has:\n" + "\n".join(commands))
     for command in wanted:
         new = measure(command, program)
         page = PAGE.read_text(encoding="utf-8")

@@ -32,7 +32,7 @@ pub(super) fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
     ))?;
     // Caches searches: of three repetitions only the first one contains the search, so the median excludes it.
     let preparer = RunPreparer::default();
-    for policy in &args.policies {
+    for policy in &args.measured.policies {
         for devices in &args.devices {
             let scenario = load_scenario(args, policy, *devices)?;
             let rates = (0..REPETITIONS)

@@ -26,7 +26,7 @@ pub(super) fn run(args: &StudyBenchArgs) -> anyhow::Result<ExitCode> {
         Ok(SweepGrid::new(experiment(policy, seeds)?.build()?, &Disk)?)
     };
     // All of them before the header, since a name may be wrong.
-    let grids: Vec<SweepGrid> = args.policies.iter().map(grid).collect::<anyhow::Result<_>>()?;
+    let grids: Vec<SweepGrid> = args.measured.policies.iter().map(grid).collect::<anyhow::Result<_>>()?;
     display::print_stdout(&format!(
         "preset paper, 10 numbers of devices, 10000 TTIs, {} of {STUDY_SEEDS}, {}\n{:>10} {:>6} {:>9} {:>13}\n",
         display::count_noun(u64::from(seeds), "seed"),
@@ -37,7 +37,7 @@ pub(super) fn run(args: &StudyBenchArgs) -> anyhow::Result<ExitCode> {
         "all seeds, s"
     ))?;
     let mut study_seconds = 0.0;
-    for (policy, grid) in args.policies.iter().zip(&grids) {
+    for (policy, grid) in args.measured.policies.iter().zip(&grids) {
         let seconds = sweep_seconds(grid, threads)?;
         let all_seconds = seconds * f64::from(STUDY_SEEDS) / f64::from(seeds);
         study_seconds += all_seconds;

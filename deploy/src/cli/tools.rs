@@ -426,12 +426,9 @@ pub(crate) struct WatchBenchArgs {
     pub repeat: u32,
 }
 
-/// Arguments of `reveille bench study`.
+/// Option `--policies` of benchmarks in memory.
 #[derive(Args)]
-pub(crate) struct StudyBenchArgs {
-    /// Number of seeds of each policy and number of devices; the study has 1000.
-    #[arg(long, default_value_t = 10, value_parser = whole(1..=1000_u32), allow_negative_numbers = true)]
-    pub seeds: u32,
+pub(crate) struct BenchPolicyArgs {
     /// Policies to measure.
     #[arg(
         long,
@@ -441,6 +438,16 @@ pub(crate) struct StudyBenchArgs {
         value_parser = trimmed(StringValueParser::new())
     )]
     pub policies: Vec<String>,
+}
+
+/// Arguments of `reveille bench study`.
+#[derive(Args)]
+pub(crate) struct StudyBenchArgs {
+    /// Number of seeds of each policy and number of devices; the study has 1000.
+    #[arg(long, default_value_t = 10, value_parser = whole(1..=1000_u32), allow_negative_numbers = true)]
+    pub seeds: u32,
+    #[command(flatten)]
+    pub measured: BenchPolicyArgs,
     /// Number of threads [default: one per core].
     #[arg(long, short = 'j', value_parser = whole(1..=4096_u16), allow_negative_numbers = true)]
     pub threads: Option<u16>,
@@ -458,15 +465,8 @@ pub(crate) struct MemoryBenchArgs {
         allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
-    /// Policies to measure.
-    #[arg(
-        long,
-        visible_alias = "policy",
-        value_delimiter = ',',
-        default_values_t = registry::names().map(str::to_owned),
-        value_parser = trimmed(StringValueParser::new())
-    )]
-    pub policies: Vec<String>,
+    #[command(flatten)]
+    pub measured: BenchPolicyArgs,
     /// Length of each run in TTIs.
     #[arg(long, default_value_t = 100_000, value_parser = whole(1..=MAX_TTIS), allow_negative_numbers = true)]
     pub ttis: u64,

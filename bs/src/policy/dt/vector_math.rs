@@ -1,6 +1,6 @@
-//! Exponentials and logarithms in single precision that the compiler computes side by side. Their bits are the same on
-//! every machine; those of a system library are not. Digests depend on them. Callers inlined into
-//! [`VectorWidth::run`](crate::vector_width::VectorWidth::run) are compiled for wide instructions.
+//! Exponentials and logarithms in single precision, which the compiler can compute side by side. Unlike a system
+//! library, they return the same bits on every machine, and digests depend on these bits. A caller that is inlined into
+//! [`VectorWidth::run`](crate::vector_width::VectorWidth::run) uses wide instructions.
 
 /// Exponent below which e^x is treated as 0.
 const MIN_EXPONENT: f32 = -87.0;
