@@ -22,6 +22,7 @@ import argparse
 import base64
 import contextlib
 import json
+import os
 import shutil
 import socket
 import statistics
@@ -325,6 +326,12 @@ def measure_rates(reveille, here, devices, rounds):
         print(f"timeline {mode}: {many:.1f} updates a second with {devices} devices, {many / few:.2f} of those with {DEVICES}")
 
 
+def cpu_times():
+    """Seconds that all cores were idle, and that other virtual machines took from them."""
+    fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
+    return [int(fields[place]) / os.sysconf("SC_CLK_TCK") for place in (4, 8)]
+
+
 def watch(page, minutes):
     """Watches a long run with the timeline on the screen, and measures the page's updates, paints and memory."""
     page.shape(1440, 900, "light")
@@ -332,7 +339,7 @@ def watch(page, minutes):
     start = time.monotonic()
     counts = "[reveille.updates, reveille.paints, reveille.timeline.paints, reveille.now.next]"
     (updates, paints, timeline_paints, _), begun = page.value(counts), start
-    sizes = []
+    sizes, cores = [], cpu_times()
     while time.monotonic() < start + 60 * minutes:
         time.sleep(min(30, 15 * minutes))
         now = page.value(counts)
@@ -344,10 +351,13 @@ def watch(page, minutes):
         size = page.call("Runtime.getHeapUsage")["usedSize"] / 1e6
         sizes.append(size)
         resident = next(int(line.split()[1]) for line in Path(f"/proc/{page.program}/status").read_text().splitlines() if line.startswith("VmRSS")) / 1e3
+        idle, stolen = (after - before for after, before in zip(cpu_times(), cores))
         print(
             f"{time.monotonic() - start:6.0f} s  TTI {now[3]:8}  {rates[0]:5.1f} updates, {rates[1]:5.1f} paints and"
-            f" {rates[2]:5.1f} paints of the timeline a second  {size:6.1f} MB, program {resident:6.1f} MB", flush=True,
+            f" {rates[2]:5.1f} paints of the timeline a second  {size:6.1f} MB, program {resident:6.1f} MB,"
+            f" CPU idle {idle / passed:.2f} and stolen {stolen / passed:.2f} cores", flush=True,
         )
+        cores = cpu_times()
         (updates, paints, timeline_paints, _), begun = page.value(counts), time.monotonic()
     quarter = max(len(sizes) // 4, 1)
     first, last = sum(sizes[:quarter]) / quarter, sum(sizes[-quarter:]) / quarter
