@@ -10,7 +10,7 @@ use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
 use reveille_common::totals::{DeviceTotals, MissCause};
 
-use crate::display::count_noun;
+use crate::display::{WIDTH, count_noun, wrap_text};
 use crate::summary::{ClassSummary, Summary};
 
 /// The metrics of the results table, in its order: information, missed events and delay, energy and batteries,
@@ -80,9 +80,10 @@ pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: boo
         count_noun(summary.n, "device"),
         summary.ttis_done,
         count_noun(summary.ttis, "TTI"),
-        summary.preset,
+        summary.preset_label,
         summary.seed
     );
+    let title = wrap_text(&title, WIDTH);
     let mut lines = vec![
         if is_coloured {
             format!("{BOLD}{title}{BOLD:#}")

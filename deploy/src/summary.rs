@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use reveille_bs::cycle::RunOutcome;
-use reveille_bs::scenario::Scenario;
+use reveille_bs::scenario::{Scenario, preset_label};
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{ClassRecord, DIGEST_VERSION, Digest, EventActivity, Metrics};
 use reveille_common::totals::Totals;
@@ -34,6 +34,9 @@ pub(crate) struct Summary<'a> {
     pub seed: u64,
     /// The preset that the scenario starts from.
     pub preset: &'a str,
+    /// The same, with a remark if the scenario differs from it.
+    #[serde(skip)]
+    pub preset_label: String,
     /// Facts that the policy reports about the deployment, such as the number of clusters.
     pub policy_facts: BTreeMap<&'static str, f64>,
     /// SHA-256 of the resolved scenario.
@@ -162,6 +165,7 @@ impl<'a> Summary<'a> {
             ttis_done: outcome.ttis_done,
             seed: scenario.run.seed,
             preset: &scenario.run.preset,
+            preset_label: preset_label(scenario),
             policy_facts: outcome.facts.iter().copied().collect(),
             scenario_hash: scenario.hash_hex(),
             start_probability: outcome.start_probability,

@@ -220,6 +220,8 @@ fn an_impossible_action_is_refused() {
     assert_eq!(again.trim(), "TTI 300: device 7 had already failed, device 8 fails");
     let healthy = folder.clock(&run, "act revive 9 --at 200");
     assert_eq!(healthy.trim(), "TTI 200: device 9 had not failed");
+    let timed = folder.clock(&run, "act fail 9 --at 250 --for 50");
+    assert_eq!(timed.trim(), "TTI 250: device 9 fails\nTTI 300: device 9 is revived");
     let log = || String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
     assert!(
         log().contains("{\"fail\":{\"tti\":398,\"first\":0,\"count\":20}}"),

@@ -4,12 +4,12 @@
 //! [`reference()`], so a change of a field or of head.md changes it too. tests/fuzz/scenario.dict lists the names of
 //! fields and policies; `tests::pages` compares both files.
 
-use reveille_common::declare::Files;
+use reveille_common::declare::{Files, NoFiles};
 // The items below, such as `Scenario` and `load`, replace the generic ones of the same name.
 pub use reveille_common::scenario::*;
 
 use crate::policy::factory::PolicyEntry;
-use crate::policy::registry;
+use crate::policy::{outside, registry};
 
 mod differences;
 mod disk;
@@ -35,6 +35,26 @@ pub type Loaded = reveille_common::scenario::LoadedScenario<PolicyChoice>;
 /// See [`reveille_common::scenario::load`].
 pub fn load_with_files(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Loaded, ScenarioError> {
     reveille_common::scenario::load(source, overrides, &registry::all_policies(), files)
+}
+
+/// Names the preset of `scenario` for titles, for example `paper`, or `paper with changes` if the run differs from it in
+/// more than its size, length, seed and the name of its policy.
+pub fn preset_label(scenario: &Scenario) -> String {
+    let run = &scenario.run;
+    let assignments = [
+        format!("devices={}", run.devices),
+        format!("ttis={}", run.ttis),
+        format!("seed={}", run.seed),
+        format!("policy.name={}", scenario.policy.name()),
+    ];
+    let overrides: Result<Vec<Override>, _> = assignments.iter().map(|text| Override::parse(text)).collect();
+    let policies = outside::kinds_with_external();
+    let preset = overrides
+        .and_then(|overrides| reveille_common::scenario::load(&run.preset, &overrides, &policies, &NoFiles));
+    match preset {
+        Ok(preset) if preset.scenario.hash() == scenario.hash() => run.preset.clone(),
+        _ => format!("{} with changes", run.preset),
+    }
 }
 
 /// Returns the declaration of all scenario fields, for the schema, the reference and the help.

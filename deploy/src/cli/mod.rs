@@ -54,7 +54,7 @@ pub(crate) use tls::TlsCommand;
 #[cfg(feature = "tls")]
 pub(crate) use tls::TlsInitArgs;
 pub(crate) use tools::{
-    BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, StudyBenchArgs,
+    ActArgs, BenchCommand, BusBenchArgs, ClockArgs, MemoryBenchArgs, ScaleBenchArgs, ScenarioCommand, StudyBenchArgs,
     TargetArgs, WatchBenchArgs,
 };
 #[cfg(feature = "train-dt")]

@@ -157,15 +157,20 @@ pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
     pair.ok_or_else(|| "must be FIELD=VALUE, such as devices=50".to_owned())
 }
 
-/// Parses the real time per TTI, or `max`.
+/// Parses the real time per TTI, as a duration or as a rate such as `50/s`, or `max`.
 pub(crate) fn parse_pace(text: &str) -> Result<Pace, String> {
     if text == "max" {
         return Ok(Pace::Max);
     }
+    let per_second = text.strip_suffix("/s").and_then(|rate| rate.trim().parse::<f64>().ok());
+    // Rates in the range of durations: 1 µs to 10⁶ s per TTI.
+    if let Some(rate) = per_second.filter(|rate| (1e-6..=1e6).contains(rate)) {
+        return Ok(Pace::RealTime((1e6 / rate).round() as u64));
+    }
     parse_duration(text)
         // The accepted range ends at 10¹² µs, which fits.
         .map(|duration| Pace::RealTime(duration.as_micros() as u64))
-        .map_err(|_| format!("must be `max` or {DURATION_HELP}"))
+        .map_err(|_| format!("must be `max`, a rate such as 50/s, or {DURATION_HELP}"))
 }
 
 /// Parses a duration from 1 µs to 10⁶ s.
@@ -264,6 +269,11 @@ mod tests {
         for text in ["max", "4ms", "1m 30s 500us"] {
             assert_eq!(parse_pace(text).map(|pace| pace.to_string()), Ok(text.to_owned()));
         }
-        assert!(parse_pace("fast").is_err_and(|refusal| refusal.contains("`max`")));
+        for (rate, duration) in [("50/s", "20ms"), ("0.5/s", "2s"), ("1000000/s", "1us")] {
+            assert_eq!(parse_pace(rate).map(|pace| pace.to_string()), Ok(duration.to_owned()));
+        }
+        for invalid in ["fast", "0/s", "-1/s", "1e7/s", "50/m"] {
+            assert!(parse_pace(invalid).is_err_and(|refusal| refusal.contains("50/s")), "{invalid}");
+        }
     }
 }

@@ -214,7 +214,7 @@ pub(crate) struct RunArgs {
 /// Options for driving a run over the bus: clock, lost processes, audit, dashboard and policy process.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct DriveArgs {
-    /// Real time per TTI, for example 10ms; `max` runs as fast as possible.
+    /// Real time per TTI, for example 10ms, or TTIs per second, such as 50/s; `max` runs as fast as possible.
     #[arg(long, default_value = "max", value_parser = parse_pace, allow_hyphen_values = true)]
     pub pace: Pace,
 

@@ -133,7 +133,7 @@ pub(crate) struct TestbedInitArgs {
     /// Add a container with the dashboard, whose address `testbed up` and `testbed status` print.
     #[arg(long)]
     pub dashboard: bool,
-    /// Real time per TTI, for example 10ms; `max` runs as fast as possible.
+    /// Real time per TTI, for example 10ms, or TTIs per second, such as 50/s; `max` runs as fast as possible.
     #[arg(long, default_value = "max", value_parser = parse_pace, allow_hyphen_values = true)]
     pub pace: Pace,
 }

@@ -146,7 +146,7 @@ pub(crate) enum ClockSubcommand {
     /// Set the real time that the run spends on each time slot (TTI)
     #[command(after_help = examples!("reveille clock pace 20ms", "reveille clock pace max"))]
     Pace {
-        /// Real time per TTI, such as 4ms; `max` runs as fast as the devices answer.
+        /// Real time per TTI, such as 4ms, or TTIs per second, such as 50/s; `max` runs as fast as the devices answer.
         #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
         pace: Pace,
     },
@@ -220,11 +220,14 @@ pub(crate) struct ActArgs {
 #[derive(Subcommand, Clone)]
 pub(crate) enum ActChange {
     /// Switch devices off: they do not sense, receive wake-ups or consume, and their batteries only charge
-    #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 3,7,10-14 --at 500"))]
+    #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 3,10-14 --at 500 --for 60"))]
     Fail {
         /// Devices and ranges of devices, such as 3,7,10-14, or `all`.
         #[arg(value_parser = parse_device_list)]
         devices: DeviceList,
+        /// Revive the devices after this number of TTIs [default: they stay failed].
+        #[arg(long = "for", value_name = "TTIS", value_parser = whole(1..=MAX_TTIS), allow_negative_numbers = true)]
+        duration: Option<u64>,
     },
     /// Switch failed devices on again
     #[command(after_help = examples!("reveille clock act revive 7", "reveille clock act revive all --at 900"))]
@@ -258,6 +261,19 @@ pub(crate) enum ActChange {
     },
 }
 
+impl ActArgs {
+    /// Returns the request that revives the devices of an action that fails them for a number of TTIs from TTI `k` on.
+    pub(crate) fn revival(&self, k: Tti) -> Option<ActRequest> {
+        let ActChange::Fail { devices, duration } = &self.change else {
+            return None;
+        };
+        Some(ActRequest {
+            at: Some(k + (*duration)?),
+            changes: devices.0.iter().copied().map(Change::Revive).collect(),
+        })
+    }
+}
+
 /// Devices on the command line.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceList(Vec<DeviceRange>);
@@ -283,7 +299,7 @@ impl From<&ActArgs> for ActRequest {
         Self {
             at: args.at.map(Tti),
             changes: match &args.change {
-                ActChange::Fail { devices } => on_each(devices, &Change::Fail),
+                ActChange::Fail { devices, .. } => on_each(devices, &Change::Fail),
                 ActChange::Revive { devices } => on_each(devices, &Change::Revive),
                 ActChange::Energy { devices, units } => on_each(devices, &|range| Change::AddEnergy(range, *units)),
                 ActChange::Set { field, value } => vec![Change::Set(*field, value.0)],

@@ -161,12 +161,12 @@ pub(crate) struct QLearningArgs {
     /// Override one scenario field, for example --set policy.q-learning.mu1=5. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// Numbers of devices N to train for, separated by commas.
+    /// Numbers of devices N to train for, separated by commas [default: those of the paper,
+    /// 10,20,40,60,80,100,130,160,200,250; with layout.kind = "file", the number of its positions].
     #[arg(
         long,
         short = 'n',
         value_delimiter = ',',
-        default_value = "10,20,40,60,80,100,130,160,200,250",
         value_parser = whole(1..=MAX_DEVICES),
         allow_negative_numbers = true
     )]

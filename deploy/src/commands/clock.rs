@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use reveille_common::bus::{Bus, Role};
+use reveille_common::ids::Tti;
 use reveille_common::message::{
     ActRequest, ClockCommand, ClockStatus, DescribeRequest, InputLogPart, InputLogRequest, OperatorAction,
 };
@@ -16,7 +17,7 @@ use reveille_view::recording::ScenarioBundle;
 use tokio::sync::Notify;
 
 use crate::action_text::describe_change;
-use crate::cli::ClockArgs;
+use crate::cli::{ActArgs, ClockArgs};
 use crate::display::{self, count_noun, note};
 use crate::exit::ExitReason;
 use crate::run_registry;
@@ -37,7 +38,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let command = match args.command.clock_command() {
         Ok(command) => command,
         // Not a failure: `clock act` has an action instead of a command.
-        Err(action_args) => return act_on_run(bus, &ActRequest::from(action_args)).await,
+        Err(action_args) => return act_on_run(bus, action_args).await,
     };
     let ended = Arc::new(Notify::new());
     let end_notifier = Arc::clone(&ended);
@@ -78,10 +79,20 @@ fn status_text(status: &ClockStatus, lists_hosts: bool) -> String {
     status.to_string() + &lines.collect::<String>()
 }
 
-/// Sends an action and prints the TTI in which it takes effect.
-async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> {
+/// Sends an action, and the one that ends it if it has a duration, and prints the TTIs in which they take effect.
+async fn act_on_run(bus: Bus, args: &ActArgs) -> anyhow::Result<ExitCode> {
+    let tti = send_action(&bus, &ActRequest::from(args)).await?;
+    if let Some(revival) = args.revival(tti) {
+        send_action(&bus, &revival).await?;
+    }
+    bus.close().await;
+    Ok(ExitReason::Done.into())
+}
+
+/// Sends an action, prints the TTI in which it takes effect, and returns it.
+async fn send_action(bus: &Bus, request: &ActRequest) -> anyhow::Result<Tti> {
     // Without the earlier actions, the answer does not tell on which devices the action has no effect.
-    let (earlier_actions, device_count) = read_actions(&bus).await.unwrap_or_default();
+    let (earlier_actions, device_count) = read_actions(bus).await.unwrap_or_default();
     let Some(tti) = bus.query(request, QUERY_TIMEOUT).await? else {
         return Err(bus.no_run_error().await.into());
     };
@@ -94,8 +105,7 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
         .map(|change| describe_change(change, device_count, &mut failed))
         .collect();
     display::print_stdout(&format!("TTI {tti}: {}\n", changes.join(", ")))?;
-    bus.close().await;
-    Ok(ExitReason::Done.into())
+    Ok(tti)
 }
 
 /// Reads the actions in the input log of the run, in the order in which they take effect, and its number of devices.

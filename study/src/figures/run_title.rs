@@ -1,38 +1,18 @@
 //! Names of a run's scenario and policy, for titles and captions of the figures of one run.
 
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, Scenario, load_with_files};
-use reveille_common::declare::NoFiles;
+use reveille_bs::scenario::{Scenario, preset_label};
 
 use crate::first_letter::lower_first;
 
 /// Names the scenario and the policy of a run, for example "preset paper, N = 50, policy knn".
 pub(super) fn run_name(scenario: &Scenario) -> String {
-    let changes = if is_unchanged_preset(scenario) {
-        ""
-    } else {
-        " with changes"
-    };
     format!(
-        "preset {}{changes}, N = {}, policy {}",
-        scenario.run.preset,
+        "preset {}, N = {}, policy {}",
+        preset_label(scenario),
         scenario.run.devices,
         scenario.policy.name()
     )
-}
-
-/// Whether the run differs from its preset in size, length, seed and name of the policy only.
-fn is_unchanged_preset(scenario: &Scenario) -> bool {
-    let run = &scenario.run;
-    let assignments = [
-        format!("devices={}", run.devices),
-        format!("ttis={}", run.ttis),
-        format!("seed={}", run.seed),
-        format!("policy.name={}", scenario.policy.name()),
-    ];
-    let overrides: Result<Vec<Override>, _> = assignments.iter().map(|text| Override::parse(text)).collect();
-    let preset = overrides.map(|overrides| load_with_files(&run.preset, &overrides, &NoFiles));
-    matches!(preset, Ok(Ok(preset)) if preset.scenario.hash() == scenario.hash())
 }
 
 /// Describes the policy in one sentence, from its entry in the registry; empty for a policy without an entry.
@@ -47,7 +27,7 @@ pub(super) fn policy_sentence(scenario: &Scenario) -> String {
 
 #[cfg(test)]
 mod tests {
-    use reveille_bs::scenario::load;
+    use reveille_bs::scenario::{Override, load};
 
     use super::*;
 

@@ -245,7 +245,7 @@ impl<'s> WeakestClass<'s> {
             String::new()
         };
         let mut sentences = vec![format!(
-            "A device{class} harvests {} units per TTI; sleeping costs {}, sensing {}.",
+            "A device{class} is expected to harvest {} units per TTI; sleeping costs {}, sensing {}.",
             number(self.balance.harvest.mean),
             number(self.balance.sleeping_cost),
             number(self.balance.sensing_cost)
@@ -274,6 +274,12 @@ impl<'s> WeakestClass<'s> {
         present.class_field(&self.class.name, field)
     }
 
+    /// Returns a consumption in units per TTI between sleeping, or the present harvest, and sensing in every TTI.
+    fn middle_cost(&self) -> f64 {
+        let low = (2.0 * self.balance.sleeping_cost).max(self.balance.harvest.mean);
+        (low * self.balance.sensing_cost).sqrt()
+    }
+
     /// Suggests to raise `field` to values between the present one and the one that pays for sensing in every TTI; to
     /// twice its value if it pays already or no such value exists. `value_for` returns the value at which the harvest
     /// equals a consumption in units per TTI; `None` if no value suffices.
@@ -286,16 +292,22 @@ impl<'s> WeakestClass<'s> {
         let field = self.field(present, field);
         let (sensing, mean) = (self.balance.sensing_cost, self.balance.harvest.mean);
         let twice_sleep = 2.0 * self.balance.sleeping_cost;
-        let middle = (twice_sleep.max(mean) * sensing).sqrt();
         let costs = [
             (twice_sleep, Some("pays twice the cost of sleeping")),
-            (middle, None),
+            (self.middle_cost(), None),
             (sensing, Some("pays for sensing in every TTI")),
         ];
-        let mut payable: Vec<(String, Option<&str>)> = costs
+        let in_preset = present.larger_in_preset(&field).map(|value| (value, None));
+        let mut values: Vec<(f64, Option<&str>)> = costs
             .into_iter()
             .filter(|(cost, _)| *cost > mean && *cost <= sensing)
-            .filter_map(|(cost, purpose)| Some((format_significant(value_for(cost)?, 3), purpose)))
+            .filter_map(|(cost, purpose)| Some((value_for(cost)?, purpose)))
+            .chain(in_preset)
+            .collect();
+        values.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut payable: Vec<(String, Option<&str>)> = values
+            .into_iter()
+            .map(|(value, purpose)| (format_significant(value, 3), purpose))
             .collect();
         payable.dedup_by(|later, earlier| {
             let is_equal = later.0 == earlier.0;
@@ -364,18 +376,18 @@ impl<'s> WeakestClass<'s> {
         } else {
             // Every source except a trace has the field `harvest.e_b`, which `max_per_tti` returns.
             let e_b = self.class.harvest.max_per_tti().units();
+            changes.extend(self.raise_harvest(present, "harvest.e_b", |cost| Some(e_b * factor_for(cost)?)));
             // λτ·exp(-λτ) is largest at λτ = 1. From 0.5 on, a larger λ adds at most 22 %.
             if let Harvest::Eq5(Arrivals { lambda, .. }) = self.class.harvest
                 && lambda * self.tau < 0.5
             {
                 let lambda_for =
                     |cost: f64| Some(lambdas_with_positive_net(LambdaReading::Eq5, e_b, cost, self.tau)?.0);
-                // Without enough energy to sleep, a λ that pays for little more leaves devices unable to sense.
-                if self.can_sleep() || lambda_for(self.balance.sensing_cost).is_some() {
+                // A λ that pays for little more than sleeping leaves devices unable to sense.
+                if lambda_for(self.middle_cost()).is_some() {
                     changes.extend(self.raise_harvest(present, "harvest.lambda", lambda_for));
                 }
             }
-            changes.extend(self.raise_harvest(present, "harvest.e_b", |cost| Some(e_b * factor_for(cost)?)));
         }
         changes.extend(battery.filter(|_| !is_battery_first));
         changes

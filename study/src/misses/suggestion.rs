@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use reveille_bs::scenario::Scenario;
-use reveille_common::declare::{Field, FieldSink, FieldValue, Section};
+use reveille_bs::scenario::{Scenario, load_with_files};
+use reveille_common::declare::{Field, FieldSink, FieldValue, NoFiles, Section};
 use reveille_common::digits::format_significant;
 
 /// Significant digits of proposed numbers.
@@ -94,25 +94,35 @@ impl Quantity {
 
 /// The present values of a scenario's fields, from which suggestions are made.
 pub(super) struct PresentValues {
-    quantities: BTreeMap<String, Quantity>,
-    /// Name of the class that the visited fields belong to.
-    class: Option<String>,
+    quantities: Quantities,
+    preset_name: String,
+    /// The values of the fields in the preset.
+    preset: Quantities,
 }
 
 impl PresentValues {
     pub(super) fn new(scenario: &Scenario) -> Self {
-        let mut values = Self {
-            quantities: BTreeMap::new(),
-            class: None,
-        };
-        scenario.visit(&mut values);
-        values
+        let preset = load_with_files(&scenario.run.preset, &[], &NoFiles);
+        Self {
+            quantities: Quantities::of(scenario),
+            preset_name: scenario.run.preset.clone(),
+            // A preset of another version can be unknown.
+            preset: preset.map_or_else(|_| Quantities::default(), |preset| Quantities::of(&preset.scenario)),
+        }
+    }
+
+    /// Returns the number that the preset has in `field`, if it is larger than the present one.
+    pub(super) fn larger_in_preset(&self, field: &str) -> Option<f64> {
+        match (self.quantities.0.get(field)?, self.preset.0.get(field)?) {
+            (Quantity::Number(present), Quantity::Number(preset)) => Some(*preset).filter(|preset| preset > present),
+            _ => None,
+        }
     }
 
     /// Returns the path of a field of the devices in `class`; the path of the top level in a scenario without classes.
     pub(super) fn class_field(&self, class: &str, field: &str) -> String {
         let class_path = format!("class.{class}.{field}");
-        if self.quantities.contains_key(&class_path) {
+        if self.quantities.0.contains_key(&class_path) {
             class_path
         } else {
             field.to_owned()
@@ -134,13 +144,16 @@ impl PresentValues {
         Suggestion::with_values(&self.verb_phrase(verb, field), &[], field, values)
     }
 
-    /// Returns the start of a suggestion to change `field`, with its present number.
+    /// Returns the start of a suggestion to change `field`, with its present number, and the preset's if it differs.
     fn verb_phrase(&self, verb: &str, field: &str) -> String {
-        let present = self.quantities.get(field).map(|present| present.scale(1.0, 0));
-        present.map_or_else(
-            || format!("{verb} {field}"),
-            |present| format!("{verb} {field} = {present}"),
-        )
+        let text_in = |quantities: &Quantities| Some(quantities.0.get(field)?.scale(1.0, 0));
+        let Some(present) = text_in(&self.quantities) else {
+            return format!("{verb} {field}");
+        };
+        match text_in(&self.preset).filter(|preset| *preset != present) {
+            Some(preset) => format!("{verb} {field} = {present} (preset {}: {preset})", self.preset_name),
+            None => format!("{verb} {field} = {present}"),
+        }
     }
 
     /// Suggests to multiply `field` by each of `factors`; `None` if the field is not in use or no value would change.
@@ -150,7 +163,7 @@ impl PresentValues {
 
     /// Suggests a scaling as [`Self::scale`] does. Whole numbers stay at least at `min_whole`.
     pub(super) fn scale_from(&self, verb: &str, field: &str, factors: &[f64], min_whole: u64) -> Option<Suggestion> {
-        let quantity = self.quantities.get(field)?;
+        let quantity = self.quantities.0.get(field)?;
         let present = quantity.scale(1.0, 0);
         let mut values: Vec<String> = factors
             .iter()
@@ -158,13 +171,12 @@ impl PresentValues {
             .filter(|value| *value != present)
             .collect();
         values.dedup();
-        let phrase = format!("{verb} {field} = {present}");
-        (!values.is_empty()).then(|| Suggestion::with_values(&phrase, &[], field, &values))
+        (!values.is_empty()).then(|| self.choose(verb, field, &values))
     }
 
     /// Returns the largest number in the list of whole numbers in `field`; 1 without such a list.
     pub(super) fn largest_of_list(&self, field: &str) -> u64 {
-        let largest = match self.quantities.get(field) {
+        let largest = match self.quantities.0.get(field) {
             Some(Quantity::Wholes(list)) => list.iter().max().copied(),
             Some(Quantity::Number(_) | Quantity::Whole(_)) | None => None,
         };
@@ -172,7 +184,27 @@ impl PresentValues {
     }
 }
 
-impl FieldSink for PresentValues {
+/// The numbers of a scenario by the path of their field.
+#[derive(Default)]
+struct Quantities(BTreeMap<String, Quantity>);
+
+impl Quantities {
+    fn of(scenario: &Scenario) -> Self {
+        let mut collector = QuantityCollector::default();
+        scenario.visit(&mut collector);
+        collector.quantities
+    }
+}
+
+/// Collects the numbers of a scenario.
+#[derive(Default)]
+struct QuantityCollector {
+    quantities: Quantities,
+    /// Name of the class that the visited fields belong to.
+    class: Option<String>,
+}
+
+impl FieldSink for QuantityCollector {
     fn item(&mut self, name: &str) {
         self.class = Some(name.to_owned());
     }
@@ -190,7 +222,7 @@ impl FieldSink for PresentValues {
             Some(class) => format!("class.{class}.{path}"),
             None => path,
         };
-        self.quantities.insert(path, quantity);
+        self.quantities.0.insert(path, quantity);
     }
 
     fn content(&mut self, _: &[u8]) {}

@@ -243,13 +243,13 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
     let fields = texts(&empty).into_iter().map(|text| text.split(" = ").next());
     assert!(
         fields.eq([
-            Some("raise harvest.lambda"),
             Some("raise harvest.e_b"),
+            Some("raise harvest.lambda"),
             Some("change policy.age-index.price")
         ]),
         "{empty}"
     );
-    assert!(empty.to_string().contains(". Raise harvest.lambda = 0.1: "), "{empty}");
+    assert!(empty.to_string().contains(". Raise harvest.e_b = 5: "), "{empty}");
     // A larger battery keeps what overflowed.
     assert_eq!(
         texts(&advice_with(Some((38.8, 0.1))))[2],
@@ -281,7 +281,7 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
     // 0.3·exp(-1) = 0.11 pay for sensing under no λ, so only E_B is left.
     for (e_b, fields) in [
         ("0.3", &["harvest.e_b"][..]),
-        ("3.5", &["harvest.lambda", "harvest.e_b"]),
+        ("3.5", &["harvest.e_b", "harvest.lambda"]),
     ] {
         let present = format!("harvest.e_b={e_b}");
         let starved = quick(&["policy.name=age-index", &present]);
@@ -304,11 +304,12 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
                 };
                 lambda * libm::exp(-lambda) * e_b
             };
-            // A harvest of 0.3167 lies above twice the cost of sleep, 0.143. The middle is a geometric mean.
-            let expected = if can_sleep {
-                vec![0.563, 1.0]
-            } else {
-                vec![0.143, 0.378, 1.0]
+            // A harvest of 0.3167 lies above twice the cost of sleep, 0.143. The middle is a geometric mean. With the
+            // preset's E_B = 5 the harvest is 0.452.
+            let expected = match (can_sleep, *field) {
+                (true, "harvest.e_b") => vec![0.452, 0.563, 1.0],
+                (true, _) => vec![0.563, 1.0],
+                (false, _) => vec![0.143, 0.378, 0.452, 1.0],
             };
             let values = values_of(change);
             assert_eq!(values.len(), expected.len(), "{advice}");
@@ -316,6 +317,8 @@ fn values_in_the_advice_pay_for_sensing_and_help() {
                 assert!((harvest_with(*value) - harvest).abs() < 0.01 * harvest, "{advice}");
             }
             assert!(change.text.contains("on average"), "{advice}");
+            let names_preset = change.text.contains(&format!("{field} = {e_b} (preset quick: 5)"));
+            assert_eq!(names_preset, *field == "harvest.e_b", "{advice}");
             let value = values[values.len() - 1];
             let (before, after) = (
                 missed_pct(&[&present]),

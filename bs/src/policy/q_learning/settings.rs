@@ -209,21 +209,23 @@ fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, 
         reader.warn(format!(
             "with these tables of q-learning no device ever senses, and every event is missed: with μ1 = {mu1}, α = \
              {alpha} and the tables' N = {n}, the area of a device is worth less than sleep; raise \
-             policy.q-learning.mu1 and train: reveille train q-learning --windows {lookback} --out FILE, with the same \
-             --scenario and --set",
+             policy.q-learning.mu1 and train: reveille train q-learning --devices {devices} --windows {lookback} --out \
+             FILE, with the same --scenario and --set",
             mu1 = weights.mu1,
             alpha = site.alpha,
             n = tables.devices,
+            devices = site.devices,
         ));
     }
 }
 
 /// Warns if the tables were learned on another setting; `differences` holds one phrase per difference.
-fn warn_of_differences(reader: &FieldReader<'_>, differences: &[String]) {
+fn warn_of_differences(reader: &FieldReader<'_>, differences: &[String], devices: u32, lookback: Lookback) {
     if !differences.is_empty() {
         reader.warn(format!(
-            "the tables of q-learning were learned on another setting and may decide badly here ({}); train tables for \
-             this setting: reveille train q-learning --out FILE, with the same --scenario and --set",
+            "the tables of q-learning were learned on another setting and may decide badly here ({}); compare with \
+             policy random, or train tables for this setting: reveille train q-learning --devices {devices} --windows \
+             {lookback} --out FILE, with the same --scenario and --set",
             differences.join("; ")
         ));
     }
@@ -259,7 +261,7 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
         warn_of_sleep(reader, site, &weights, &initial_tables);
     }
     if let Some(tables) = &learned {
-        warn_of_differences(reader, &tables.site.differences(&run_site));
+        warn_of_differences(reader, &tables.site.differences(&run_site), site.devices, lookback);
     }
     Ok(QLearningSettings {
         weights,

@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use anyhow::bail;
 use indicatif::ProgressBar;
 use reveille_bs::policy::q_learning::learned::{CurvePoint, TableSet};
+use reveille_bs::scenario::Scenario;
 use reveille_common::digits::format_significant;
+use reveille_common::geometry::Layout;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint_path};
 
@@ -18,13 +20,17 @@ use crate::exit::Interrupted;
 use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
 
+/// The numbers of devices N in the paper (Sec. VI). The help of `--devices` repeats them.
+const PAPER_DEVICES: &[u32] = &[10, 20, 40, 60, 80, 100, 130, 160, 200, 250];
+
 /// Trains the requested tables.
 pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve_with_builtin_policy(&args.scenario()?)?;
     let training = args.episodes.training_config()?;
+    let devices = training_devices(&args.devices, &scenario)?;
     // The largest N has the lowest limit of TTIs.
     let mut largest_scenario = scenario.clone();
-    largest_scenario.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
+    largest_scenario.run.devices = devices.iter().copied().max().unwrap_or(1).max(1);
     if training.ttis > largest_scenario.max_ttis() {
         bail!(
             "--episode-ttis {}: must be at most {} with {} devices, or their sums of energy overflow",
@@ -33,7 +39,7 @@ pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
             largest_scenario.run.devices
         );
     }
-    let mut trainer = Trainer::new(&scenario, &args.devices, &args.windows, &training)?;
+    let mut trainer = Trainer::new(&scenario, &devices, &args.windows, &training)?;
     if args.out.exists() && !args.force {
         bail!(TrainingError::FileExists(args.out.clone()));
     }
@@ -95,6 +101,22 @@ pub(super) fn run(args: &QLearningArgs) -> anyhow::Result<ExitCode> {
     }
     display::print_stdout(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Returns the numbers of devices to train for: the `requested` ones, or by default the paper's. A layout from a file
+/// has only one.
+fn training_devices(requested: &[u32], scenario: &Scenario) -> anyhow::Result<Vec<u32>> {
+    if !matches!(scenario.layout, Layout::File(_)) {
+        return Ok(if requested.is_empty() { PAPER_DEVICES } else { requested }.to_vec());
+    }
+    let positions = scenario.run.devices;
+    match requested.iter().find(|devices| **devices != positions) {
+        Some(devices) => bail!(
+            "--devices {devices}: layout.file has {}; leave out --devices",
+            count_noun(positions, "position")
+        ),
+        None => Ok(vec![positions]),
+    }
 }
 
 /// The error of a training ended by a signal, whose checkpoint would be at `checkpoint_path`. `dt` uses it too.

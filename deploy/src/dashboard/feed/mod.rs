@@ -9,7 +9,7 @@ use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use reveille_bs::scenario::{FieldDifference, Scenario};
+use reveille_bs::scenario::{FieldDifference, Scenario, preset_label};
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::voronoi_cells;
 use reveille_common::ids::{DeviceId, Tti};
@@ -140,7 +140,7 @@ impl Feed {
         let about = json!({
             "run": run,
             "policy": scenario.policy.name(),
-            "preset": scenario.run.preset,
+            "preset": preset_label(scenario),
             "seed": scenario.run.seed,
             "devices": scenario.run.devices,
             "ttis": scenario.run.ttis,

@@ -15,7 +15,7 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::OperatorAction;
 use reveille_common::totals::MissCause;
 use reveille_lab::action_script::warm_up_warning;
-use reveille_study::misses::{ActionFailure, Advice, InvolvedDevice, Misses, cause_name};
+use reveille_study::misses::{ActionFailure, Advice, InvolvedDevice, MissedEvent, Misses, cause_name};
 use serde_json::{Value, json};
 
 use crate::action_text::{describe_actions, name_actions};
@@ -205,6 +205,7 @@ impl MissReport<'_> {
         for (cause, count) in misses.causes() {
             text += &format_cause(cause, count, missed);
         }
+        text.extend(misses.missed.first().map(format_first_event));
         let _infallible = write!(text, "\n{}\n{}", format_map(&misses.map()), format_bins(misses));
         let devices = format_devices(&self.involved, &self.device_rows, &misses.action_failures());
         let _infallible = write!(text, "\nNearest devices of missed events\n{devices}");
@@ -238,6 +239,21 @@ fn format_cause(cause: Option<MissCause>, count: u64, missed: usize) -> String {
     let explanation = cause.map_or("the table has no causes", |cause| cause.explanation());
     let share = 100.0 * count as f64 / missed as f64;
     format!("{count:7} {share:5.1} %  {:<12} {explanation}\n", cause_name(cause))
+}
+
+/// Formats the first missed event, from which a reader can follow the messages of a recording.
+fn format_first_event(event: &MissedEvent) -> String {
+    let MissedEvent {
+        event,
+        start,
+        nearest,
+        distance_m,
+        ..
+    } = event;
+    format!(
+        "first: event {event} in TTI {start}, nearest device {nearest} at {} m; events.csv has all\n",
+        format_significant(*distance_m, 3)
+    )
 }
 
 /// Formats the advice, with a line for each suggestion.
