@@ -40,7 +40,7 @@ trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 cp "$binary" "$context/reveille"
 chmod 0755 "$context/reveille"
-# Five sixths of a release build are line tables. strip is part of binutils, which come with the linker.
+# A quarter of a release build are names of functions. strip is part of binutils, which come with the linker.
 if command -v strip >/dev/null 2>&1; then strip "$context/reveille"; fi
 cp "$here/Dockerfile.prebuilt" "$context/Dockerfile"
 

@@ -37,8 +37,8 @@ pub fn load_with_files(source: &str, overrides: &[Override], files: &dyn Files) 
     reveille_common::scenario::load(source, overrides, &registry::all_policies(), files)
 }
 
-/// Names the preset of `scenario` for titles, for example `paper`, or `paper with changes` if the run differs from it in
-/// more than its size, length, seed and the name of its policy.
+/// Names the preset of `scenario` for titles, for example `paper`, or `paper with changes` if the run differs from it
+/// in more than its size, length, seed and the name of its policy.
 pub fn preset_label(scenario: &Scenario) -> String {
     let run = &scenario.run;
     let assignments = [
@@ -49,8 +49,8 @@ pub fn preset_label(scenario: &Scenario) -> String {
     ];
     let overrides: Result<Vec<Override>, _> = assignments.iter().map(|text| Override::parse(text)).collect();
     let policies = outside::kinds_with_external();
-    let preset = overrides
-        .and_then(|overrides| reveille_common::scenario::load(&run.preset, &overrides, &policies, &NoFiles));
+    let preset =
+        overrides.and_then(|overrides| reveille_common::scenario::load(&run.preset, &overrides, &policies, &NoFiles));
     match preset {
         Ok(preset) if preset.scenario.hash() == scenario.hash() => run.preset.clone(),
         _ => format!("{} with changes", run.preset),

@@ -273,7 +273,10 @@ mod tests {
             assert_eq!(parse_pace(rate).map(|pace| pace.to_string()), Ok(duration.to_owned()));
         }
         for invalid in ["fast", "0/s", "-1/s", "1e7/s", "50/m"] {
-            assert!(parse_pace(invalid).is_err_and(|refusal| refusal.contains("50/s")), "{invalid}");
+            assert!(
+                parse_pace(invalid).is_err_and(|refusal| refusal.contains("50/s")),
+                "{invalid}"
+            );
         }
     }
 }

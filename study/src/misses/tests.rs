@@ -262,7 +262,10 @@ fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
         overflow_per_device_tti: 0.3 * EnergyBalance::new(&scenario).classes[0].harvest.mean,
     };
     let small = advice::advise(&scenario, &main_cause(MissCause::NoEnergy), Some(energy));
-    assert_eq!(texts(&small)[0], "raise energy.e_max = 12: try 24, 48, 96");
+    assert_eq!(
+        texts(&small)[0],
+        "raise energy.e_max = 12 (preset quick: 100): try 24, 48, 96"
+    );
     let sentences = "A full battery pays for 1 report. Of the harvest, 30 % did not fit into full batteries.";
     assert!(small.finding.contains(sentences), "{small}");
 }

@@ -52,7 +52,10 @@ pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
 fn compare_runs(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     if args.runs.len() < 2 {
         if !args.runs[0].exists() {
-            bail!("{}: no such file or folder; name a run folder, a recording or a sweep", args.runs[0].display());
+            bail!(
+                "{}: no such file or folder; name a run folder, a recording or a sweep",
+                args.runs[0].display()
+            );
         }
         bail!(InvalidUsage(format!(
             "{}: one run has nothing to be compared with; name at least two runs, or a sweep",

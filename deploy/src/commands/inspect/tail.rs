@@ -72,7 +72,8 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
              first TTI; choose an earlier --since, or run with --no-lookahead"
         );
     }
-    if let (0, Ok(()), Some(device), FrameSource::Recorded(..)) = (printer.printed_lines, &result, args.device, &source) {
+    if let (0, Ok(()), Some(device), FrameSource::Recorded(..)) = (printer.printed_lines, &result, args.device, &source)
+    {
         note!(
             "no message of device {device} passes the filters; `reveille inspect export FILE --to devices --every 1` \
              writes its state and battery in each TTI"

@@ -2,14 +2,9 @@
 //!
 //! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI follows the device machine, with which a
 //! test compares the chain: the device harvests up to E_max and pays for δ. If it becomes active (a detection in S1, a
-//! wake-up in S4), it pays for the transmission. A cost that it cannot pay empties the battery. There is a transition
-//! matrix for each δ. The steady distribution at the start of a cycle is unchanged by t_DRX steps. Only
+//! wake-up in S4), it pays for the transmission. A cost that it cannot pay empties the battery. There is a list of
+//! transitions for each δ. The steady distribution at the start of a cycle is unchanged by t_DRX steps. Only
 //! [`super::compare`] solves the chain.
-
-use nalgebra::DVector;
-use nalgebra_sparse::ops::Op;
-use nalgebra_sparse::ops::serial::spmm_csr_dense;
-use nalgebra_sparse::{CooMatrix, CsrMatrix};
 
 use super::lattice::Lattice;
 use crate::analysis::AnalysisError;
@@ -85,29 +80,36 @@ impl SteadyState {
 /// If `input` is out of range, or the chain mixes too slowly to be solved.
 pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<SteadyState, AnalysisError> {
     input.check()?;
-    let cycle = CycleMatrices {
-        s1: transition_matrix(lattice, input, lattice.e_idle),
-        s4: transition_matrix(lattice, input, lattice.e_wur),
+    let cycle = Cycle {
+        s1: transitions(lattice, input, lattice.e_idle),
+        s4: transitions(lattice, input, lattice.e_wur),
         input: *input,
     };
     let level_count = lattice.level_count();
-    let mut distribution = DVector::from_element(level_count, 1.0 / level_count as f64);
-    let mut buffer = DVector::zeros(level_count);
+    let mut distribution = vec![1.0 / level_count as f64; level_count];
+    let mut buffer = vec![0.0; level_count];
     let mut transitions_to_steady_state = 0;
     loop {
         let previous = distribution.clone();
         cycle.advance_cycle(&mut distribution, &mut buffer, |_| {});
         transitions_to_steady_state += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
-        let residual = (&distribution - &previous).lp_norm(1);
+        let residual = distribution
+            .iter()
+            .zip(&previous)
+            .map(|(new, old)| (new - old).abs())
+            .sum();
         if residual <= STEADY_RESIDUAL {
             // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
             // TTI.
-            let mut phase_sum = DVector::zeros(level_count);
-            cycle.advance_cycle(&mut distribution, &mut buffer, |at_tti_end| phase_sum += at_tti_end);
-            let phase_mean = phase_sum / f64::from(input.t_drx);
+            let mut level_probabilities = vec![0.0; level_count];
+            cycle.advance_cycle(&mut distribution, &mut buffer, |at_tti_end| {
+                for (mean, probability) in level_probabilities.iter_mut().zip(at_tti_end) {
+                    *mean += probability / f64::from(input.t_drx);
+                }
+            });
             return Ok(SteadyState {
-                level_probabilities: phase_mean.iter().copied().collect(),
+                level_probabilities,
                 transitions_to_steady_state,
                 residual,
             });
@@ -122,62 +124,64 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
     }
 }
 
-/// Transition matrices of one cycle.
-struct CycleMatrices {
-    /// Matrix of a TTI in S1.
-    s1: CsrMatrix<f64>,
-    /// Matrix of a TTI in S4.
-    s4: CsrMatrix<f64>,
+/// A transition between battery levels in one TTI.
+struct Transition {
+    /// Level at the start of the TTI.
+    from: usize,
+    /// Level at its end.
+    to: usize,
+    /// Probability of this transition at level `from`.
+    probability: f64,
+}
+
+/// Transitions of one cycle.
+struct Cycle {
+    /// Transitions of a TTI in S1.
+    s1: Vec<Transition>,
+    /// Transitions of a TTI in S4.
+    s4: Vec<Transition>,
     input: ChainInput,
 }
 
-impl CycleMatrices {
+impl Cycle {
     /// Advances the `distribution` over levels by one cycle, and passes it to `visit` at the end of each TTI. `buffer`
     /// has the same length; its content does not matter.
-    fn advance_cycle(
-        &self,
-        distribution: &mut DVector<f64>,
-        buffer: &mut DVector<f64>,
-        mut visit: impl FnMut(&DVector<f64>),
-    ) {
+    fn advance_cycle(&self, distribution: &mut Vec<f64>, buffer: &mut Vec<f64>, mut visit: impl FnMut(&[f64])) {
         for phase in 0..self.input.t_drx {
-            let matrix = if phase < self.input.t_on { &self.s1 } else { &self.s4 };
-            spmm_csr_dense(0.0, &mut *buffer, 1.0, Op::NoOp(matrix), Op::NoOp(&*distribution));
+            buffer.fill(0.0);
+            let transitions = if phase < self.input.t_on { &self.s1 } else { &self.s4 };
+            for transition in transitions {
+                buffer[transition.to] += transition.probability * distribution[transition.from];
+            }
             std::mem::swap(distribution, buffer);
             visit(distribution);
         }
     }
 }
 
-/// Builds the transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level
-/// l after k.
-pub(super) fn transition_matrix(lattice: &Lattice, input: &ChainInput, cost: usize) -> CsrMatrix<f64> {
-    let n = lattice.level_count();
-    let mut matrix = CooMatrix::new(n, n);
-    for level in 0..n {
-        let after_arrival = (level + lattice.e_b).min(lattice.e_max);
-        for (charged, probability) in [(after_arrival, input.arrival), (level, 1.0 - input.arrival)] {
+/// Returns the transitions of a TTI that costs `cost` quanta, by their first level. Several may have the same levels.
+fn transitions(lattice: &Lattice, input: &ChainInput, cost: usize) -> Vec<Transition> {
+    let mut transitions = Vec::new();
+    for from in 0..lattice.level_count() {
+        let mut add = |to, probability| transitions.push(Transition { from, to, probability });
+        let after_arrival = (from + lattice.e_b).min(lattice.e_max);
+        for (charged, probability) in [(after_arrival, input.arrival), (from, 1.0 - input.arrival)] {
             // A device that cannot pay for δ ends empty, and no detection or wake-up makes it active.
             let Some(remaining) = charged.checked_sub(cost) else {
-                matrix.push(0, level, probability);
+                add(0, probability);
                 continue;
             };
-            // A transmission that the device cannot pay for empties the battery. Entries at the same place are summed
-            // in the conversion below.
-            matrix.push(
-                remaining.saturating_sub(lattice.e_tx),
-                level,
-                probability * input.activation,
-            );
-            matrix.push(remaining, level, probability * (1.0 - input.activation));
+            // A transmission that the device cannot pay for empties the battery.
+            add(remaining.saturating_sub(lattice.e_tx), probability * input.activation);
+            add(remaining, probability * (1.0 - input.activation));
         }
     }
-    CsrMatrix::from(&matrix)
+    transitions
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::DMatrix;
+    use nalgebra::{DMatrix, DVector};
 
     use super::*;
 
@@ -222,6 +226,15 @@ mod tests {
         }
     }
 
+    /// Entry (l, k) is the probability of level l after k.
+    fn transition_matrix(lattice: &Lattice, input: &ChainInput, cost: usize) -> DMatrix<f64> {
+        let mut matrix = DMatrix::zeros(lattice.level_count(), lattice.level_count());
+        for transition in transitions(lattice, input, cost) {
+            matrix[(transition.to, transition.from)] += transition.probability;
+        }
+        matrix
+    }
+
     #[test]
     fn two_levels_equal_a_calculation_by_hand() {
         // S1 takes any charge; in S4, free of cost, an arrival fills the battery until the next S1.
@@ -263,7 +276,7 @@ mod tests {
             e_tx: 5,
             ..TWO_LEVELS
         };
-        let matrix = DMatrix::from(&transition_matrix(&lattice, &input_of(0, 1, a), 0));
+        let matrix = transition_matrix(&lattice, &input_of(0, 1, a), 0);
         let probabilities_into = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
         assert!(
             probabilities_into(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15),
@@ -278,7 +291,7 @@ mod tests {
     fn each_column_of_the_matrix_is_a_distribution() {
         let lattice = E_IDLE_OF_14;
         for cost in [lattice.e_idle, lattice.e_wur] {
-            let matrix = DMatrix::from(&transition_matrix(&lattice, &input_of(1, 4, 0.1), cost));
+            let matrix = transition_matrix(&lattice, &input_of(1, 4, 0.1), cost);
             for column in matrix.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-14 && column.min() >= 0.0);
             }
@@ -294,7 +307,7 @@ mod tests {
             ..E_IDLE_OF_14
         };
         let chain_input = input_of(2, 5, 0.05);
-        let matrix = |cost| DMatrix::from(&transition_matrix(&lattice, &chain_input, cost));
+        let matrix = |cost| transition_matrix(&lattice, &chain_input, cost);
         let (s1, s4) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
         let cycle = &s4 * &s4 * &s4 * &s1 * &s1;
         let level_count = lattice.level_count();
