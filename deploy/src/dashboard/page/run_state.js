@@ -10,7 +10,8 @@ export function runState() {
   if (now.over) return now.next < run.ttis ? "interrupted" : "finished";
   if (!run.live) return now.next < run.ttis ? "interrupted" : "finished";
   if (!now.reachable) return "waiting";
-  if (!clock) return "running";
+  // The first status of the clock arrives after the page's first update.
+  if (!clock) return run.controls ? "connecting" : "running";
   if (!clock.begun) return "joining";
   if (clock.hosts.some(({ lost }) => lost)) return "waiting";
   return clock.paused ? "paused" : "running";
