@@ -21,7 +21,9 @@ prints how often the page shows another TTI of a run at full speed, next to a ru
 import argparse
 import base64
 import contextlib
+import itertools
 import json
+import math
 import os
 import shutil
 import socket
@@ -75,6 +77,7 @@ def main():
             check_live(page, args.pictures)
         with compared(reveille, here) as page:
             check_comparison(page, args.pictures)
+        check_without_token(reveille, here)
 
 
 class Page:
@@ -264,6 +267,16 @@ def check_comparison(page, pictures):
     check_grid(page)
     check_shapes(page, pictures, "compare")
     print(f"two seeds: {difference.split(chr(10))[0][:60]}")
+
+
+def check_without_token(reveille, here):
+    """A page that may not read the run without the token of its address names what is missing."""
+    command = "dashboard 1.mcap --listen 0.0.0.0:0".split()
+    with started(here, "no-token", reveille, *command) as (_, url), browsed(here, url.partition("#")[0]) as page:
+        page.until("document.getElementById('state')?.textContent === 'not connected'")
+        problem = page.text("#problem")
+        assert problem == "this page needs the address that the program printed (it contains a token)", problem
+        page.complaints = [one for one in page.complaints if "401" not in one.get("text", "")]
 
 
 def check_compared_heading(page):
@@ -490,6 +503,13 @@ def check_map(page):
         pictures.append(page.value(picture))
         if layer == "looks":
             page.until("/sensed.*TTI 0 to ([0-9]+): darkest [1-9]/.exec(document.getElementById('legend').textContent)?.[1] === `${reveille.tti}`")
+    # On a small phone, only numbers that would cover others are left out.
+    page.shape(320, 700, "light")
+    page.until("innerWidth === 320")
+    page.value("(() => { window.painted.clear(); dispatchEvent(new Event('resize')); })()")
+    page.until(f"{json.dumps(groups)}.filter((group) => window.painted.has(group)).length > {0.7 * len(groups)}")
+    page.shape(1280, 900, "light")
+    page.until("innerWidth === 1280")
     centre = page.value("(() => { const [w, h] = reveille.run.area, p = reveille.run.positions[7]; return [p.x / w, 1 - p.y / h]; })()")
     width, height = page.value("(() => { const box = document.getElementById('map').getBoundingClientRect(); return [box.width, box.height]; })()")
     page.click(*page.centre("#map", (10 + centre[0] * (width - 20)) / width, (10 + centre[1] * (height - 20)) / height))
@@ -568,6 +588,9 @@ def check_axes(page):
     page.until("trial.ground?.hasValues && window.painted.has('20k')")
     ttis = page.value("[...window.painted].filter((text) => /M$/.test(text))")
     assert len(ttis) >= 4 and "1.27911M" in ttis, ttis
+    # The first tick is not below the highest value.
+    values = page.value("[...window.painted].filter((text) => /^[0-9]+k$/.test(text))")
+    assert max(int(text[:-1]) for text in values) >= 20.4, values
     top, bottom = page.value("[20400, 20001].map((value) => trial.y(value))")
     assert 8 < top < bottom, (top, bottom)
     # A short peak is cut off, with its value, so that it does not flatten the other values.
@@ -816,6 +839,39 @@ def check_names(page):
         page.shape(1280, 900, scheme)
         low = {pair: share for pair, share in page.value(contrast).items() if share < 1}
         assert not low, (scheme, low)
+        check_state_colours(page, scheme)
+
+
+# The names of the colours of states, and of the area of the battery next to them in the timeline.
+STATE_COLOURS = ("sensing", "reporting", "woken", "failed", "asleep", "unpowered", "out", "battery")
+# Linear RGB as seen with each kind of dichromacy (Machado et al., 2009, severity 1), and without.
+VISIONS = {
+    "full": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "protanopia": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
+    "deuteranopia": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
+    "tritanopia": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
+}
+
+
+def check_state_colours(page, scheme):
+    """The colours of two states differ for everyone: by a distance of 0.12 in the colour space Oklab."""
+    read = "((style) => (name) => style.getPropertyValue(`--${name}`).trim())(getComputedStyle(document.documentElement))"
+    colours = dict(zip(STATE_COLOURS, page.value(f"{json.dumps(STATE_COLOURS)}.map({read})")))
+    for vision, matrix in VISIONS.items():
+        seen = {name: oklab(matrix, colour) for name, colour in colours.items()}
+        for (one, a), (other, b) in itertools.combinations(seen.items(), 2):
+            assert math.dist(a, b) > 0.12, (scheme, vision, one, other, math.dist(a, b))
+
+
+def oklab(matrix, colour):
+    """The Oklab coordinates (Ottosson, 2020) of a colour such as #0072b2, seen through a matrix on linear RGB."""
+    shares = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+    product = lambda rows, vector: [sum(a * b for a, b in zip(row, vector)) for row in rows]
+    rgb = [min(max(share, 0), 1) for share in product(matrix, linear)]
+    cones = product(((0.4122214708, 0.5363325363, 0.0514459929), (0.2119034982, 0.6806995451, 0.1073969566), (0.0883024619, 0.2817188376, 0.6299787005)), rgb)
+    rows = ((0.2104542553, 0.7936177850, -0.0040720468), (1.9779984951, -2.4285922050, 0.4505937099), (0.0259040371, 0.7827717662, -0.8086757660))
+    return product(rows, [cone ** (1 / 3) for cone in cones])
 
 
 def check_grid(page):

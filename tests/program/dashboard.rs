@@ -580,6 +580,24 @@ fn a_recording_is_shown_without_a_clock() {
         &["o: the folder holds no recording", "--record o/run.mcap"],
     );
     assert_refused(&folder.run("dashboard r.mcap --listen nowhere"), 1, &["nowhere"]);
+    // The longest start of the recording without a message.
+    let bytes = folder.bytes("r.mcap");
+    let cut = |length: usize| std::fs::write(folder.join("cut.mcap"), &bytes[..length]).expect("written");
+    let (mut without, mut with) = (0, bytes.len());
+    while without + 1 < with {
+        let middle = usize::midpoint(without, with);
+        cut(middle);
+        let has_message = folder.run("inspect tail cut.mcap --json").stdout.contains("\"tti\"");
+        (without, with) = if has_message { (without, middle) } else { (middle, with) };
+    }
+    assert!(
+        without > 1000,
+        "the scenario comes before the first message, in byte {without}"
+    );
+    for length in [without, without / 2, 0] {
+        cut(length);
+        assert_refused(&folder.run("dashboard cut.mcap --listen 127.0.0.1:0"), 1, &["cut.mcap"]);
+    }
 }
 
 #[test]

@@ -476,7 +476,9 @@ impl FeedState {
         let (true, Ok(message)) = (is_outcome, frame.message()) else {
             return;
         };
-        let device = frame.number.map_or_else(String::new, |number| format!("device {number}"));
+        let device = frame
+            .number
+            .map_or_else(String::new, |number| format!("device {number}"));
         if let Message::Event(EventUpdate::Started(_)) = message {
             self.event_outcomes.clear();
         } else if let Message::Event(EventUpdate::Ended(record)) = message {

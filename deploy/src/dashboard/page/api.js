@@ -9,6 +9,8 @@ async function request(path, method) {
     throw new Error("the program that served this page has ended; start a run with --hold, or record it with --record, to look back");
   });
   if (answer.ok) return answer;
+  // Another machine may not read without the token, and no page may change the run.
+  if (answer.status === 401) throw new Error("this page needs the address that the program printed (it contains a token)");
   const isJson = answer.headers.get("content-type")?.startsWith("application/json");
   const reason = isJson ? (await answer.json()).error : await answer.text();
   throw new Error(reason || answer.statusText);

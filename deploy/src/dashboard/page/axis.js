@@ -12,8 +12,19 @@ export function ticks(low, high, count, isWhole = false) {
   return found;
 }
 
-// The values of a logarithmic axis that begins at 0.
-export const decades = (high) => [0, ...Array.from({ length: Math.floor(Math.log10(high)) + 1 }, (_, nth) => 10 ** nth)];
+// Round values from 0 to the first one that is not below `high`, with room for their labels in this height in pixels: the lowest
+// such end, then the shortest steps.
+export function ticksAbove(high, height, isWhole = false) {
+  if (!(high > 0)) return [0, 1];
+  const power = 10 ** Math.floor(Math.log10(high)), most = Math.max(2, Math.min(6, Math.floor(height / 34)));
+  const choices = [10, 5, 2, 1, 0.5, 0.2].map((factor) => ({ step: factor * power, steps: Math.ceil(high / (factor * power) - 1e-9) }));
+  const fitting = choices.filter(({ step, steps }) => steps <= most && !(isWhole && step < 1));
+  const { step, steps } = fitting.sort((a, b) => a.step * a.steps - b.step * b.steps || a.step - b.step)[0];
+  return Array.from({ length: steps + 1 }, (_, nth) => +(nth * step).toPrecision(12));
+}
+
+// The values of a logarithmic axis that begins at 0, up to the first power of ten that is not below `high`.
+export const decades = (high) => [0, ...Array.from({ length: Math.ceil(Math.log10(high) - 1e-9) + 1 }, (_, nth) => 10 ** nth)];
 
 // A number with at most this many significant digits, and thousands as k.
 export function shortNumber(value, digits = 3) {

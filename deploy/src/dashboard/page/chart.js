@@ -1,6 +1,6 @@
 // One chart: lines over TTIs with axes, a legend, and a readout for mouse, touch and keyboard.
 
-import { decades, shortNumber, tickText, ticks, ttiText } from "./axis.js";
+import { decades, shortNumber, tickText, ticks, ticksAbove, ttiText } from "./axis.js";
 import { addExport } from "./export.js";
 import { element } from "./page_state.js";
 import { hiddenCanvas, ink, outlinedText, prepareCanvas } from "./theme.js";
@@ -11,13 +11,13 @@ const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
 // Values above this quantile of their line are a peak if the highest one is `PEAK` times as high. Few values have no peak.
 const USUAL = 0.95, PEAK = 3, FEW = 40;
 
-// The upper end of the axis: above all values, or only above the usual ones of every line if a short peak would flatten them.
-function axisEnd(lines, canCut) {
+// The value up to which the axis reaches: the highest one, or only the usual ones of every line if a short peak would flatten them.
+function axisReach(lines, canCut) {
   const sorted = lines.map((values) => Float64Array.from(values).sort());
   const most = Math.max(0, ...sorted.map((values) => values.at(-1) ?? 0));
   const usual = Math.max(0, ...sorted.map((values) => (values.length < FEW ? values.at(-1) : values[Math.floor(USUAL * (values.length - 1))]) ?? 0));
   const hasPeak = canCut && usual > 0 && most > PEAK * usual;
-  return { end: 1.06 * (hasPeak ? 1.5 * usual : most) || 1, peak: hasPeak ? most : null };
+  return { reach: hasPeak ? 1.5 * usual : most, peak: hasPeak ? most : null };
 }
 
 export class Chart {
@@ -104,10 +104,10 @@ export class Chart {
     const { canvas, draw } = hiddenCanvas(width, height);
     const lines = this.runs.flatMap(({ points }) => this.series.map((_, nth) => points.map(([, all]) => all[nth]).filter((value) => value !== null && value !== undefined)));
     const hasValues = lines.some((values) => values.length), bottom = height - MARGIN.bottom;
-    const { end, peak } = this.most ? { end: this.most, peak: null } : axisEnd(lines, !this.isLog);
+    const { reach, peak } = this.most ? { reach: this.most, peak: null } : axisReach(lines, !this.isLog);
+    const marks = this.isLog && reach >= 10 ? decades(reach) : ticksAbove(reach, height), end = marks.at(-1);
     const size = this.isLog ? Math.log1p : (value) => value;
     const y = (value) => bottom - (size(value) / size(end)) * (bottom - MARGIN.top);
-    const marks = this.isLog && end >= 10 ? decades(end) : ticks(0, end, Math.max(2, Math.floor(height / 42)));
     draw.font = "11px system-ui, sans-serif";
     draw.lineWidth = 1;
     draw.textBaseline = "middle";

@@ -63,7 +63,7 @@ export async function showDevice() {
   chart.history = { from, band: Array.from(flags, (of) => (of ? stateOf(of) : null)) };
   const seen = Object.keys(STATES).filter((name) => chart.history.band.includes(name));
   byId("state-legend").replaceChildren(...seen.map(bandEntry));
-  chart.most = run.e_max[device] * 1.04;
+  chart.most = run.e_max[device];
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   ledger = [];
   if (!history.totals) {

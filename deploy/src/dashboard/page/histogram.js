@@ -1,6 +1,6 @@
 // The histogram of the batteries in the shown TTI.
 
-import { shortNumber, tickText, ticks } from "./axis.js";
+import { shortNumber, tickText, ticks, ticksAbove } from "./axis.js";
 import { addExport } from "./export.js";
 import { symbolsOf } from "./map_symbols.js";
 import { element, page, plural } from "./page_state.js";
@@ -65,12 +65,12 @@ export class Histogram {
     this.counts = this.count(page.moment);
     this.bins = sumBins(this.counts);
     this.otherBins = page.other?.moment ? sumBins(this.count(page.other.moment)) : null;
-    const tallest = Math.max(...this.bins, ...(this.otherBins ?? [])) * 1.06 || 1;
+    const marks = ticksAbove(Math.max(...this.bins, ...(this.otherBins ?? [])), height, true), tallest = marks.at(-1);
     const x = (bin) => MARGIN.left + (bin / BINS) * inner, y = (count) => bottom - (count / tallest) * (bottom - MARGIN.top);
     draw.font = "11px system-ui, sans-serif";
     draw.textAlign = "right";
     draw.textBaseline = "middle";
-    for (const count of ticks(0, tallest, Math.max(2, Math.floor(height / 42)), true)) {
+    for (const count of marks) {
       draw.strokeStyle = ink("--line");
       draw.beginPath();
       draw.moveTo(MARGIN.left, Math.round(y(count)) + 0.5);

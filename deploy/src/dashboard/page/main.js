@@ -230,4 +230,7 @@ async function begin() {
   });
 }
 
-begin().catch((error) => showProblem(error.message));
+begin().catch((error) => {
+  byId("state").textContent = "not connected";
+  showProblem(error.message);
+});

@@ -65,19 +65,23 @@ export class MapGround {
     return centres;
   }
 
-  // Numbers of many clusters would cover each other and the devices. A number stays above a device of this size.
+  // A number that would cover another one is left out, and all of them if hardly any fits. It stays above a device of this size.
   paintClusterNumbers(draw, width, height, size) {
     this.centres ??= this.findCentres();
     const { centres } = this;
     const spacing = width / Math.sqrt(centres.size);
-    if (spacing < 40) return;
-    draw.font = `600 ${spacing < 60 ? 11 : 13}px system-ui, sans-serif`;
+    if (spacing < 18) return;
+    const high = spacing < 40 ? 9 : spacing < 60 ? 11 : 13, taken = [];
+    draw.font = `600 ${high}px system-ui, sans-serif`;
     draw.textAlign = "center";
     draw.textBaseline = "middle";
     for (const [group, { x, y, count }] of centres) {
       const at = this.map.place({ x: x / count, y: y / count }, width, height), gap = 1.7 * size + 8;
       const isOnDevice = this.map.devices.places.some(([px, py]) => Math.hypot(px - at[0], py - at[1]) < gap);
       if (isOnDevice) at[1] += at[1] > 2 * gap ? -gap : gap;
+      const wide = draw.measureText(group).width;
+      if (taken.some((other) => Math.abs(other.x - at[0]) < (other.wide + wide) / 2 + 2 && Math.abs(other.y - at[1]) < high)) continue;
+      taken.push({ x: at[0], y: at[1], wide });
       outlinedText(draw, group, ...at);
     }
   }

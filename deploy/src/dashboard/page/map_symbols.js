@@ -61,7 +61,10 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
     draw.moveTo(x - size, y - turn * size);
     draw.lineTo(x + size, y + turn * size);
   }
-  draw.strokeStyle = ink(STATES[symbol].colour);
-  draw.lineWidth = symbol === "unpowered" ? 1.5 : 2.5;
-  draw.stroke();
+  // The bright colour of a device without power needs an outline on a light ground.
+  const lines = symbol === "unpowered" ? [["--ink", 2.5], [STATES[symbol].colour, 1.5]] : [[STATES[symbol].colour, 2.5]];
+  for (const [colour, lineWidth] of lines) {
+    Object.assign(draw, { strokeStyle: ink(colour), lineWidth });
+    draw.stroke();
+  }
 }
