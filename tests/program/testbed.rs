@@ -10,8 +10,14 @@ use reveille_tests::process::{FinishedProcess, Process, TestFolder, assert_refus
 const ENGINE: &str = r#"#!/bin/sh
 case "$*" in
   "compose version" | "version "*) echo 29 ;;
+  *" down "*) rm status ;;
+  *" up --detach bs") printf 'dependency failed to start: container bs is unhealthy\n' >&2; exit 1 ;;
+  "run --rm "*) echo "reveille $(cat version)" ;;
+  "cp b5:"*) cp -r run "$3" ;;
+  "logs --tail "*) echo "reveille: field run.ttis: too long" >&2 ;;
+  "ps "*--quiet*) [ ! -e status ] || echo b5 ;;
   "ps "*Networks*) printf 'b5\tbs\t%s\tnet\nd1\tdevice-1\tUp 5 seconds\tnet\n' "$(cat status)" ;;
-  "ps "*) ;;
+  "ps "* | "network "* | "volume "*) ;;
   "inspect --format {{.HostConfig.NanoCpus}} b5 d1") printf '0\n%s\n' "$(cat limit)" ;;
   "exec b5 reveille clock status") echo "running at TTI 1 of 400" ;;
   "stats "* | "port "* | "logs "*) ;;
@@ -99,4 +105,44 @@ fn a_testbed_is_not_removed_under_a_running_up() {
     drop(up);
     let down = fixture.run("down my");
     assert!(down.stderr.contains("removed the containers"), "{down}");
+    let again = fixture.run("down my");
+    assert!(
+        again.is_success() && again.stderr.contains("my: nothing to remove"),
+        "{again}"
+    );
+}
+
+#[test]
+fn a_copy_of_an_unfinished_run_is_reported() {
+    let fixture = Fixture::new("");
+    assert!(fixture.0.run("run -s my/scenario.toml --out run").is_success());
+    let complete = fixture.run("results my");
+    assert!(
+        complete.stdout == "results in my/results\n" && complete.stderr.is_empty(),
+        "{complete}"
+    );
+    fs::remove_file(fixture.0.join("run/summary.json")).expect("there");
+    let partial = fixture.run("results my");
+    assert!(
+        partial.is_success() && partial.stderr.contains("the run is not complete"),
+        "{partial}"
+    );
+}
+
+#[test]
+fn a_failed_start_shows_the_log_of_the_failed_container() {
+    let fixture = Fixture::new("");
+    fixture.0.write("version", env!("CARGO_PKG_VERSION"));
+    fixture.0.write("status", "Restarting (2) 1 second ago");
+    let refused = fixture.run("up my");
+    assert_refused(
+        &refused,
+        1,
+        &[
+            "container bs is unhealthy",
+            "bs: Restarting (2) 1 second ago; its last log lines:",
+            "reveille: field run.ttis: too long",
+        ],
+    );
+    assert!(!refused.stderr.contains("device-1"), "{refused}");
 }

@@ -8,6 +8,9 @@ use super::faults::Fault;
 use crate::cli::FaultKind;
 use crate::display::shell_word;
 
+/// Exit codes without a failure of the program: success, and the signals of faults and of compose.
+const NO_FAILURES: [u8; 4] = [0, 130, 137, 143];
+
 /// The phase of a container, the first word or words of its status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
@@ -54,6 +57,16 @@ impl Container {
     /// Whether its process has ended without an error, and the engine does not start it again.
     pub(super) fn is_complete(&self) -> bool {
         self.phase() == Phase::Exited && self.exit_code() == Some(0)
+    }
+
+    /// The exit code of its last process, if that failed other than by a fault or compose.
+    pub(super) fn failure(&self) -> Option<u8> {
+        self.exit_code().filter(|code| !NO_FAILURES.contains(code))
+    }
+
+    /// Whether its process failed, or does not answer the check of its health.
+    pub(super) fn has_failed(&self) -> bool {
+        self.failure().is_some() || self.status.contains("(unhealthy)")
     }
 
     /// Its state, for users.
@@ -172,6 +185,14 @@ mod tests {
                 "{status}"
             );
             assert_eq!(container.is_complete(), status.starts_with("Exited (0)"), "{status}");
+            assert!(!container.has_failed(), "{status}");
+        }
+        for status in [
+            "Exited (1) 3 seconds ago",
+            "Restarting (2) 3 seconds ago",
+            "Up 9 minutes (unhealthy)",
+        ] {
+            assert!(container(status).has_failed(), "{status}");
         }
     }
 

@@ -19,6 +19,8 @@ use crate::display::shell_word;
 
 /// Time between two looks at the containers.
 pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Lines of a failed container's log that errors show.
+pub(super) const LOG_LINES: &str = "5";
 /// Longest wait until the engine has started a container again before a fault.
 const RESTART_PATIENCE: Duration = Duration::from_secs(10);
 /// Processor cores of a slow container.
@@ -112,6 +114,33 @@ impl Docker {
         ))
     }
 
+    /// Starts containers of `project`, with these arguments of `compose up`.
+    ///
+    /// # Errors
+    /// If it fails; holds its output and the last log lines of failed containers, since compose does not name causes.
+    pub(super) fn compose_up(&self, project: &Project, args: &[&str]) -> anyhow::Result<()> {
+        self.compose(project, &[&["up", "--detach"], args].concat())
+            .map_err(|error| match self.failure_logs(project) {
+                Ok(logs) => anyhow!("{error:#}{logs}"),
+                Err(_) => error,
+            })
+    }
+
+    /// The status and the last log lines of the containers that have failed.
+    fn failure_logs(&self, project: &Project) -> anyhow::Result<String> {
+        let mut text = String::new();
+        for container in self
+            .containers(project)?
+            .iter()
+            .filter(|container| container.has_failed())
+        {
+            let Container { service, status, .. } = container;
+            let log = self.last_log_lines(container, LOG_LINES)?;
+            text += &format!("\n{service}: {status}; its last log lines:\n{log}");
+        }
+        Ok(text)
+    }
+
     /// Runs a compose command of `project` with this program's terminal.
     pub(super) fn compose_in_foreground(&self, project: &Project, args: &[&str]) -> anyhow::Result<ExitCode> {
         exit_code_in_foreground(&mut self.compose_command(project, args))
@@ -134,7 +163,7 @@ impl Docker {
     /// # Errors
     /// If compose fails, or the image has no TLS.
     pub(super) fn start_bs(&self, testbed: &Testbed, project: &Project) -> anyhow::Result<()> {
-        self.compose(project, &["up", "--detach", BS_SERVICE]).map_err(|error| {
+        self.compose_up(project, &[BS_SERVICE]).map_err(|error| {
             let certificates = self.container(project, CERTIFICATES_SERVICE);
             if testbed.config.tls && certificates.is_ok_and(|container| container.exit_code() == Some(2)) {
                 let image = &testbed.config.image;
@@ -211,6 +240,20 @@ impl Docker {
             ),
             None => Ok(()),
         }
+    }
+
+    /// Whether `project` has containers, networks or volumes.
+    pub(super) fn is_there(&self, project: &Project) -> anyhow::Result<bool> {
+        let filter = format!("label=com.docker.compose.project={}", project.name);
+        for kind in [&["ps", "--all"][..], &["network", "ls"], &["volume", "ls"]] {
+            if !self
+                .run(&[kind, &["--quiet", "--filter", &filter]].concat())?
+                .is_empty()
+            {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// The name of the project with a base station whose containers were started from `folder`; `None` without one.

@@ -30,7 +30,7 @@ use self::docker::{Docker, POLL_INTERVAL, Project, clock_in_foreground, shorten_
 use self::faults::Fault;
 use self::model::{Testbed, devices_by_class};
 use self::placement::{BS_SERVICE, DASHBOARD_SERVICE};
-use self::results::copy_results;
+use self::results::{copy_results, is_complete};
 use self::up::lock_folder;
 use super::resolve_scenario::resolve_with_builtin_policy;
 use crate::cli::{TestbedArgs, TestbedCommand, TestbedInitArgs};
@@ -46,20 +46,7 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         TestbedCommand::Init(args) => init(args)?,
         TestbedCommand::Up(args) => return up::run(args),
-        TestbedCommand::Down(folder) => {
-            let (docker, project) = match TestbedConfig::read(&folder.path) {
-                Ok(_) => find_project(&folder.path)?,
-                Err(error) => find_started(&folder.path, error)?,
-            };
-            let again = shell_word(&folder.path);
-            let fix = format!("end it with Ctrl-C, then repeat `reveille testbed down {again}`");
-            let _lock = lock_folder(&folder.path, &fix)?;
-            docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
-            note!(
-                "removed the containers, the network and the volumes of {}",
-                project.name
-            );
-        }
+        TestbedCommand::Down(folder) => remove(&folder.path)?,
         TestbedCommand::Status(folder) => print_status(&Testbed::load(&folder.path)?)?,
         TestbedCommand::Logs {
             folder,
@@ -83,8 +70,15 @@ pub(crate) fn run(args: &TestbedArgs) -> anyhow::Result<ExitCode> {
         }
         TestbedCommand::Results(folder) => {
             let testbed = Testbed::load(&folder.path)?;
-            let folder = copy_results(&find_project(&testbed.folder)?.0, &testbed)?;
-            print_stdout(&format!("results in {}\n", folder.display()))?;
+            let results = copy_results(&find_project(&testbed.folder)?.0, &testbed)?;
+            print_stdout(&format!("results in {}\n", results.display()))?;
+            if !is_complete(&results) {
+                note!(
+                    "the run is not complete, so the copy holds a part of it; repeat `reveille testbed results {}` \
+                     after its end",
+                    shell_word(&folder.path)
+                );
+            }
         }
         TestbedCommand::Fault {
             folder,
@@ -157,6 +151,30 @@ fn find_project(folder: &Path) -> anyhow::Result<(Docker, Project)> {
     let docker = Docker::find()?;
     docker.check_owner(&project)?;
     Ok((docker, project))
+}
+
+/// Removes the containers, the network and the volumes of the testbed in `folder`.
+///
+/// # Errors
+/// If there is no engine, `folder` is not a testbed, or `testbed up` runs.
+fn remove(folder: &Path) -> anyhow::Result<()> {
+    let (docker, project) = match TestbedConfig::read(folder) {
+        Ok(_) => find_project(folder)?,
+        Err(error) => find_started(folder, error)?,
+    };
+    let again = shell_word(folder);
+    let fix = format!("end it with Ctrl-C, then repeat `reveille testbed down {again}`");
+    let _lock = lock_folder(folder, &fix)?;
+    if !docker.is_there(&project)? {
+        note!("{}: nothing to remove: the testbed has no containers", project.name);
+        return Ok(());
+    }
+    docker.compose(&project, &["down", "--volumes", "--remove-orphans", "--timeout", "30"])?;
+    note!(
+        "removed the containers, the network and the volumes of {}",
+        project.name
+    );
+    Ok(())
 }
 
 /// Returns the engine and the project whose containers were started from the testbed in `folder`, whose description

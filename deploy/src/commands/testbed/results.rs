@@ -48,6 +48,13 @@ pub(super) fn copy_results(docker: &Docker, testbed: &Testbed) -> anyhow::Result
     Ok(target)
 }
 
+/// Whether the run in the folder `results` is complete.
+pub(super) fn is_complete(results: &Path) -> bool {
+    let reader = RunReader::open(results).ok();
+    let summary = reader.and_then(|reader| reader.summary);
+    summary.is_some_and(|summary| summary["status"] == "complete")
+}
+
 /// Repeats the run in memory and compares the digests.
 ///
 /// # Errors

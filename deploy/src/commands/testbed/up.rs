@@ -13,7 +13,7 @@ use indicatif::ProgressBar;
 
 use super::compose::{RESULTS_FOLDER, write_compose};
 use super::container::Container;
-use super::docker::{Docker, POLL_INTERVAL, Project, shorten_clock};
+use super::docker::{Docker, LOG_LINES, POLL_INTERVAL, Project, shorten_clock};
 use super::faults::{Fault, ScheduledFault};
 use super::model::Testbed;
 use super::placement::{BS_SERVICE, DASHBOARD_SERVICE};
@@ -25,12 +25,6 @@ use crate::signals::{SignalMode, Signals};
 
 /// Longest wait for the address of the dashboard before the devices start.
 const DASHBOARD_PATIENCE: Duration = Duration::from_secs(20);
-/// Lines of the base station's log that the error of a failed run shows.
-const LOG_LINES: &str = "5";
-
-/// Exit codes without a failure of the program: success, and the signals of faults and of compose.
-const NO_FAILURES: [u8; 4] = [0, 130, 137, 143];
-
 /// Runs a testbed.
 pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
     let testbed = Testbed::load(&args.testbed.path)?;
@@ -156,7 +150,7 @@ impl<'a> Driver<'a> {
                 "starting {}",
                 count_noun(testbed.containers.len(), "container")
             ));
-            docker.compose(project, &["up", "--detach", "--remove-orphans"])?;
+            docker.compose_up(project, &["--remove-orphans"])?;
         }
         Ok(driver)
     }
@@ -166,8 +160,8 @@ impl<'a> Driver<'a> {
         if !self.testbed.config.dashboard {
             return Ok(());
         }
-        let command = ["up", "--detach", "--no-deps", "--force-recreate", DASHBOARD_SERVICE];
-        self.docker.compose(self.project, &command)?;
+        let options = ["--no-deps", "--force-recreate", DASHBOARD_SERVICE];
+        self.docker.compose_up(self.project, &options)?;
         self.starting_dashboard = Some(self.docker.container(self.project, DASHBOARD_SERVICE)?);
         Ok(())
     }
@@ -270,8 +264,7 @@ impl<'a> Driver<'a> {
     /// Reports each container that has failed by itself, such as one with an image of another version.
     fn report_failures(&mut self) -> anyhow::Result<()> {
         for container in self.docker.containers(self.project)? {
-            let failure = container.exit_code().filter(|code| !NO_FAILURES.contains(code));
-            if let Some(code) = failure
+            if let Some(code) = container.failure()
                 && self.reported.insert(container.service.clone())
             {
                 let log = self.docker.last_log_lines(&container, "1")?;
