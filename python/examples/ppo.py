@@ -134,8 +134,7 @@ if __name__ == "__main__":
 SCENARIO = "paper"
 #: Table II: cost of a TTI in S1 and of a report, in energy units, and d_max as a share of the area's side.
 E_IDLE, E_TX, REACH = 1.0, 10.0, 0.2
-DEVICE = {feature.name: at for at, feature in enumerate(reveille.DEVICE_FEATURES)}
-GLOBAL = {feature.name: at for at, feature in enumerate(reveille.GLOBAL_FEATURES)}
+DEVICE, GLOBAL = reveille.DEVICE_COLUMNS, reveille.GLOBAL_COLUMNS
 #: The features summed over nearby devices.
 SUMMED = ("battery", "can_report", "sensing", "since_sensing", "stale", "nearness", "may_wake")
 AROUND = [DEVICE[name] for name in SUMMED]

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from .figures import Figure, deployment_figure, figure, figures, timeline_figure
 from .policy_client import PolicyClient, PortError, Question, decide
 from .runs import policies, run, sweep
-from .scenario import DEVICE_FEATURES, GLOBAL_FEATURES, Feature, Setting
+from .scenario import DEVICE_COLUMNS, DEVICE_FEATURES, GLOBAL_COLUMNS, GLOBAL_FEATURES, Feature, Setting
 
 if TYPE_CHECKING:
     from .environment import ReveilleEnv
@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from .vector import ReveilleVectorEnv
 
 __all__ = [
+    "DEVICE_COLUMNS",
     "DEVICE_FEATURES",
+    "GLOBAL_COLUMNS",
     "GLOBAL_FEATURES",
     "Feature",
     "Figure",

@@ -24,6 +24,10 @@ DEVICE_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.
 #: The features of ``observation["globals"]``, in order.
 GLOBAL_FEATURES: tuple[Feature, ...] = tuple(Feature(*pair) for pair in _native.features()[1])
 
+#: The index of each feature in its array, by name: ``observation["device"][:, DEVICE_COLUMNS["battery"]]``.
+DEVICE_COLUMNS: dict[str, int] = {feature.name: at for at, feature in enumerate(DEVICE_FEATURES)}
+GLOBAL_COLUMNS: dict[str, int] = {feature.name: at for at, feature in enumerate(GLOBAL_FEATURES)}
+
 
 def toml(value: Setting) -> str:
     """Formats ``value`` as TOML."""

@@ -168,8 +168,9 @@ def test_observations_in_the_emulator_equal_those_of_an_environment(folder, know
     assert emulator_run.serve(client) == len(environment_observations)
     assert emulator_run.summary()["digest"] == info["digest"]
     assert report_count > 0 and client.hello["ttis"] == 300 and len(client.hello["known"]["devices"]) == 25
-    names = [column["name"] for column in client.hello["device_features"]]
-    assert names == [feature.name for feature in reveille.DEVICE_FEATURES]
+    for features, columns in (("device", reveille.DEVICE_COLUMNS), ("global", reveille.GLOBAL_COLUMNS)):
+        names = [column["name"] for column in client.hello[f"{features}_features"]]
+        assert [columns[name] for name in names] == list(range(len(columns)))
 
 
 @needs_program

@@ -39,13 +39,13 @@ def test_the_features_have_names_and_descriptions():
     for features in (reveille.DEVICE_FEATURES, reveille.GLOBAL_FEATURES):
         assert len({feature.name for feature in features}) == len(features)
         assert all(feature.about for feature in features)
-    names = [feature.name for feature in reveille.DEVICE_FEATURES]
+    columns = reveille.DEVICE_COLUMNS
     env = ReveilleEnv(devices=9, ttis=20)
     obs, _ = env.reset(seed=1)
-    assert obs["device"][:, names.index("battery")] == pytest.approx(0.5)
-    assert (obs["device"][:, names.index("since_sensing")] == 1).all()
+    assert obs["device"][:, columns["battery"]] == pytest.approx(0.5)
+    assert (obs["device"][:, columns["since_sensing"]] == 1).all()
     obs, *_ = env.step(np.eye(9, dtype=np.int8)[4])
-    column = obs["device"][:, names.index("sensing")]
+    column = obs["device"][:, columns["sensing"]]
     assert column[4] == 1 and column.sum() == 1
 
 
