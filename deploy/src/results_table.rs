@@ -284,8 +284,7 @@ fn format_timing(summary: &Summary<'_>) -> String {
         parts.push(format!("{} barriers", timing.grants));
     }
     let mut lines = vec![parts.join(" · ")];
-    if timing.host_rss_mb > 0.0 {
-        let (rss, pss) = (timing.host_rss_mb, timing.host_pss_mb);
+    if let (Some(rss), Some(pss)) = (timing.host_rss_mb, timing.host_pss_mb) {
         lines.push(format!("{rss:.1} MB resident ({pss:.1} MB PSS) per process"));
     }
     lines.join("\n")

@@ -134,10 +134,12 @@ pub(crate) struct Timing {
     pub losses: usize,
     /// The longest of them, seconds.
     pub longest_loss_s: f64,
-    /// Mean resident memory of a device process in MB, 0 without device processes.
-    pub host_rss_mb: f64,
-    /// Mean proportional memory of a device process in MB (shared pages split), 0 without device processes.
-    pub host_pss_mb: f64,
+    /// Mean resident memory of a device process in MB; absent unless `up` started it on this machine.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub host_rss_mb: Option<f64>,
+    /// Mean proportional memory of a device process in MB (shared pages split); absent like `host_rss_mb`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub host_pss_mb: Option<f64>,
 }
 
 /// Versions of the program and of its formats.

@@ -12,7 +12,7 @@ const SEEDS: u64 = 7;
 /// The two-sided 95 % quantile of Student's t with [`SEEDS`] - 1 degrees of freedom, from a printed table.
 const T_QUANTILE: f64 = 2.446_912;
 /// Sweep with a CSV table.
-const SWEEP: &str = "sweep --policies random,knn,age-index --devices 20,40 --ttis 900 --seeds 7 --format csv --quiet";
+const SWEEP: &str = "sweep --policies random,age-index,knn --devices 20,40 --ttis 900 --seeds 7 --format csv --quiet";
 
 /// Values of a metric by policy, N and seed.
 type MetricValues = BTreeMap<(String, u32, u64), f64>;
@@ -102,6 +102,14 @@ fn differences_of_policies_equal_those_of_the_table() {
         assert!(text.contains(part), "no {part:?}: {by_default}");
     }
     assert!(text.lines().all(|line| line.chars().count() <= 80), "{by_default}");
+    // The order of figures, not the one of the command line or the alphabet.
+    let rows = text.lines().map(|line| line.split_whitespace().next());
+    let mut policies: Vec<&str> = rows
+        .flatten()
+        .filter(|word| ["knn", "age-index"].contains(word))
+        .collect();
+    policies.dedup();
+    assert_eq!(policies, ["knn", "age-index"].repeat(5), "{by_default}");
 }
 
 #[test]
@@ -155,7 +163,7 @@ fn sweeps_are_compared_by_policy_and_n() {
             "both",
         ),
     ] {
-        let sweep = SWEEP.replace("random,knn,age-index", "knn");
+        let sweep = SWEEP.replace("random,age-index,knn", "knn");
         let finished = folder.run(&format!("{sweep} {args} --out {out}"));
         assert!(finished.is_success(), "{finished}");
     }

@@ -426,7 +426,7 @@ fn tables_with_equal_file_names_give_separate_pictures() {
 }
 
 #[test]
-fn a_report_without_runs_for_any_claim_prints_a_note() {
+fn a_report_without_runs_for_any_claim_prints_the_sweep_to_run() {
     let folder = TestFolder::new();
     for policies in ["age-index", "random,age-index"] {
         let finished = folder.run(&format!(
@@ -434,9 +434,22 @@ fn a_report_without_runs_for_any_claim_prints_a_note() {
         ));
         assert!(finished.is_success(), "{finished}");
         let finished = folder.run(&format!("report {policies} --out report"));
+        assert!(finished.is_success(), "{finished}");
+        let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
+        let (_, claims) = markdown
+            .split_once("left out below: ")
+            .expect("the claims without runs");
+        let (count, _) = claims.split_once(" of ").expect("a count");
+        let note = finished.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(
-            finished.is_success() && finished.stderr.contains("the report judges nothing"),
+            note.contains(&format!(
+                "the tables lack runs for all {count} claims of the paper; sweep"
+            )),
             "{finished}"
+        );
+        assert!(
+            markdown.contains("o claim could be judged.") && !markdown.contains("0 of 0 claims"),
+            "{markdown}"
         );
     }
 }

@@ -61,6 +61,20 @@ fn a_moved_run_folder_can_be_run_again() {
     assert!(!folder.join("repeated/scenario-files").exists());
 }
 
+#[test]
+fn the_summary_has_the_memory_of_measured_device_processes_only() {
+    let folder = TestFolder::new();
+    for (command, is_measured) in [("run", false), ("up -P 0", false), ("up -P 2", true)] {
+        let finished = folder.run(&format!("{command} -n 10 -k 300 --quiet --force --out o"));
+        assert!(finished.is_success(), "{finished}");
+        let summary: serde_json::Value = serde_json::from_slice(&folder.bytes("o/summary.json")).expect("a summary");
+        for field in ["host_rss_mb", "host_pss_mb"] {
+            let memory = summary["timing"].get(field).map(|value| value.as_f64() > Some(0.1));
+            assert_eq!(memory, is_measured.then_some(true), "{command}: {field} in {summary}");
+        }
+    }
+}
+
 /// The trace is a column of a result table, a metric of eight runs.
 #[test]
 fn a_run_folder_keeps_models_and_parquet_traces() {

@@ -10,7 +10,8 @@ use super::parse::metric_parser;
 /// Arguments of `reveille compare`.
 #[derive(Args)]
 pub(crate) struct CompareArgs {
-    /// Run folders or recordings, at least two: differences refer to the first. Or sweep folders and result tables.
+    /// Run folders or recordings, at least two, numbered in this order: differences refer to the first. Or sweep
+    /// folders and result tables, whose policies follow the order of figures: the paper's, then others by name.
     #[arg(required = true, num_args = 1.., value_name = "RUN|SWEEP")]
     pub runs: Vec<PathBuf>,
     /// Reference policy within sweeps; the other policies are compared with it [default: the first of the table].

@@ -576,7 +576,7 @@ fn timing(served: &ServerOutcome, preparation_time: Duration) -> Timing {
         losses: served.loss_durations.len(),
         longest_loss_s: served.loss_durations.iter().max().map_or(0.0, Duration::as_secs_f64),
         // `up` measures these: only it knows the device processes.
-        host_rss_mb: 0.0,
-        host_pss_mb: 0.0,
+        host_rss_mb: None,
+        host_pss_mb: None,
     }
 }

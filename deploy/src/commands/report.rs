@@ -73,15 +73,12 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
             report.conditions_left_out.describe()
         );
     }
-    if report.columns.is_empty() {
+    let without_runs = report.rows.iter().filter(|row| !row.has_runs()).count();
+    if without_runs == report.rows.len() {
         note!(
-            "report: the paper makes no statement on these tables, so the report judges nothing; use a table with \
-             several policies or numbers of devices"
-        );
-    } else if report.rows.iter().all(|row| !row.has_runs()) {
-        note!(
-            "report: the tables hold no runs for any claim of the paper, so the report judges nothing; most claims are \
-             about adjusted, knn, q-learning and dt with 10 to 250 devices"
+            "report: no claim could be judged: the tables lack runs for all {without_runs} claims of the paper; sweep \
+             the policies and numbers of devices that most claims name, such as with `reveille sweep --policies \
+             knn,adjusted,q-learning,random,genie --devices 10,50,100,250 --seeds 20 --out paper`"
         );
     }
     let mut pictures = Vec::new();

@@ -175,24 +175,20 @@ async fn serve_with_devices(
     code
 }
 
-/// Sets the mean memory of the live device processes in `timing`, where both fields must still be 0.
+/// Sets the mean memory of the live device processes in `timing`, if it can be measured for one of them.
 fn measure_memory(pids: &[u32], timing: &mut Timing) {
-    let kilobytes = |text: &str, name: &str| -> f64 {
+    let megabytes = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));
-        line.and_then(|rest| rest.split_whitespace().next()?.parse().ok())
-            .unwrap_or(0.0)
+        let kilobytes: Option<f64> = line.and_then(|rest| rest.split_whitespace().next()?.parse().ok());
+        kilobytes.unwrap_or(0.0) / 1024.0
     };
-    let mut measured_processes = 0.0;
-    for pid in pids {
-        // A process can have ended since its pid was listed.
-        if let Ok(text) = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")) {
-            timing.host_rss_mb += kilobytes(&text, "Rss:") / 1024.0;
-            timing.host_pss_mb += kilobytes(&text, "Pss:") / 1024.0;
-            measured_processes += 1.0;
-        }
-    }
-    if measured_processes > 0.0 {
-        timing.host_rss_mb /= measured_processes;
-        timing.host_pss_mb /= measured_processes;
+    // A process can have ended since its pid was listed.
+    let texts = pids
+        .iter()
+        .filter_map(|pid| std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")).ok());
+    let texts: Vec<String> = texts.collect();
+    if !texts.is_empty() {
+        let mean = |name| texts.iter().map(|text| megabytes(text, name)).sum::<f64>() / texts.len() as f64;
+        (timing.host_rss_mb, timing.host_pss_mb) = (Some(mean("Rss:")), Some(mean("Pss:")));
     }
 }

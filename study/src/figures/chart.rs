@@ -381,15 +381,8 @@ impl PlotFrame<'_> {
             self.draw_light_band(scene, series.style.paint, &with_interval);
             return;
         }
-        if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {
-            let upper = with_interval
-                .iter()
-                .map(|p| (self.canvas_x(p.x), self.canvas_y(p.y + p.y_half_width)));
-            let lower = with_interval
-                .iter()
-                .rev()
-                .map(|p| (self.canvas_x(p.x), self.canvas_y(p.y - p.y_half_width)));
-            scene.area(VectorPath::closed_line(upper.chain(lower)), series.style.paint, 0.25);
+        if series.is_joined && series.interval != Interval::Crosses {
+            self.draw_band(scene, series.style.paint, &with_interval);
         }
         match series.interval {
             Interval::Bars | Interval::Crosses | Interval::LightBand => {}
@@ -426,6 +419,18 @@ impl PlotFrame<'_> {
             path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
             path.extend(VectorPath::segment((right, y - 2.0), (right, y + 2.0)));
             scene.line(path, bar);
+        }
+    }
+
+    /// Draws a band through the intervals of neighbouring `points`. Zeros at the border of a logarithmic axis have none:
+    /// it would fill the axis.
+    fn draw_band(&self, scene: &mut Scene, paint: Paint, points: &[&ChartPoint]) {
+        let is_at_border = |p: &ChartPoint| self.chart.has_zero_at_border && p.y <= self.chart.y.ends().0;
+        for points in points.split(|p| is_at_border(p)).filter(|points| points.len() > 1) {
+            let end = |p: &&ChartPoint, side: f64| (self.canvas_x(p.x), self.canvas_y(p.y + side * p.y_half_width));
+            let upper = points.iter().map(|p| end(p, 1.0));
+            let lower = points.iter().rev().map(|p| end(p, -1.0));
+            scene.area(VectorPath::closed_line(upper.chain(lower)), paint, 0.25);
         }
     }
 

@@ -163,14 +163,20 @@ fn round_values() -> impl Iterator<Item = f64> {
 
 /// Limits of tick spacing beyond which labels have an exponent.
 const MAX_PLAIN_STEP: f64 = 1e7;
-const MIN_PLAIN_STEP: f64 = 1e-7;
+const MIN_PLAIN_STEP: f64 = 1e-4;
+/// Number of steps from zero below which a value has at most three significant digits.
+const MAX_SHORT_STEPS: f64 = 100.0;
 
-/// Formats `value` with as many decimals as `step`, > 0, the distance of ticks. With a very large or small step it has
-/// an exponent.
+/// Formats `value` with as many decimals as `step`, > 0, the distance of ticks. With a large or small step, values near
+/// zero have an exponent.
 pub fn format_with_step(value: f64, step: f64) -> String {
-    if value != 0.0 && !(MIN_PLAIN_STEP..MAX_PLAIN_STEP).contains(&step) {
+    let is_plain_step = (MIN_PLAIN_STEP * (1.0 - 1e-9)..MAX_PLAIN_STEP).contains(&step);
+    if value != 0.0 && !is_plain_step && value.abs() < MAX_SHORT_STEPS * step {
         // A value is a multiple of the step, whose first digit is 1, 2 or 5.
-        return format!("{value:.1e}").replace(".0e", "e").replace('-', "−");
+        let text = format!("{value:.2e}");
+        let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        let mantissa = mantissa.trim_end_matches('0').trim_end_matches('.');
+        return format!("{mantissa}e{exponent}").replace('-', "−");
     }
     let decimals = (0..9)
         .find(|&d| {
@@ -273,6 +279,27 @@ mod tests {
         );
         let (from, to) = Scale::linear([61.0, 64.0], false).ends();
         assert!((from - 61.0).abs() < 1e-9 && (to - 64.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn labels_of_small_steps_are_short_and_keep_their_digits() {
+        for (values, with_zero, expected) in [
+            ([0.0, 1e-6], true, &["0", "2e−7", "4e−7", "6e−7", "8e−7", "1e−6"][..]),
+            (
+                [0.0, 0.0003],
+                true,
+                &["0", "5e−5", "1e−4", "1.5e−4", "2e−4", "2.5e−4", "3e−4"],
+            ),
+            (
+                [1.9e-5, 2.1e-5],
+                false,
+                &["1.9e−5", "1.95e−5", "2e−5", "2.05e−5", "2.1e−5"],
+            ),
+            ([60.0, 60.0003], false, &["60.00000", "60.00005", "60.00010"]),
+        ] {
+            let labels = labels(Scale::linear(values, with_zero));
+            assert_eq!(labels[..expected.len()], *expected, "{labels:?}");
+        }
     }
 
     #[test]

@@ -484,11 +484,10 @@ fn explain(
             ways_to_reach(&present, main),
         ),
         MissCause::Removed => (
-            "near devices that were removed with their process, or had failed".to_owned(),
-            vec![
-                Suggestion::without_trials("run with --on-loss wait, so that another process takes over lost devices"),
-                Suggestion::without_trials("revive failed devices earlier, in the script of actions"),
-            ],
+            "near devices that were removed with their process".to_owned(),
+            vec![Suggestion::without_trials(
+                "run with --on-loss wait, so that another process takes over lost devices",
+            )],
         ),
         MissCause::Undetected => (
             format!("not detected by any device within sensing.d_max = {d_max} m"),
@@ -514,7 +513,7 @@ fn explain(
             },
         ),
         MissCause::Failed => (
-            "within reach of devices with δ = 1 that an operator had failed".to_owned(),
+            "near devices that actions had failed".to_owned(),
             ways_to_tolerate_failures(&present),
         ),
         MissCause::Unpowered => {

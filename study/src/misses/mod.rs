@@ -244,9 +244,11 @@ impl Misses {
         devices
     }
 
-    /// Returns the main cause and the scenario fields to change; `None` without missed events.
+    /// Returns the main cause and the scenario fields to change; `None` without missed events. Events near devices that
+    /// actions failed count as one cause.
     pub fn advice(&self) -> Option<Advice> {
-        let (cause, count) = *self.causes().first()?;
+        let missed = self.missed_by_failures();
+        let (cause, count) = *count_causes(&missed).first()?;
         let Some(cause) = cause else {
             return Some(Advice {
                 finding: "The table has no causes of missed events.".to_owned(),
@@ -255,22 +257,21 @@ impl Misses {
                 )],
             });
         };
-        let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
+        let of_cause: Vec<&MissedEvent> = missed.iter().filter(|event| event.cause == Some(cause)).collect();
         let main_cause = MainCause {
             cause,
             count,
-            missed: self.missed.len(),
-            hot_spot: self.hot_spot(cause),
-            farthest_m: of_cause.map(|event| event.distance_m).fold(0.0, f64::max),
+            missed: missed.len(),
+            hot_spot: self.hot_spot(&of_cause),
+            farthest_m: of_cause.iter().map(|event| event.distance_m).fold(0.0, f64::max),
         };
         Some(advice::advise(&self.scenario, &main_cause, self.energy))
     }
 
-    /// Returns the cell with most events of `cause`, unless chance explains their number.
-    fn hot_spot(&self, cause: MissCause) -> Option<HotSpot> {
+    /// Returns the cell with most of `events`, unless chance explains their number.
+    fn hot_spot(&self, events: &[&MissedEvent]) -> Option<HotSpot> {
         let grid = self.grid();
-        let of_cause = self.missed.iter().filter(|event| event.cause == Some(cause));
-        let places: Vec<Point> = of_cause.map(|event| event.epicentre).collect();
+        let places: Vec<Point> = events.iter().map(|event| event.epicentre).collect();
         let counts = grid.count(places.iter().copied());
         let cells = places.iter().map(|place| grid.cell(*place));
         // Of equally full cells the one farthest south-west.

@@ -6,7 +6,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, OperatorAction};
 use reveille_common::totals::MissCause;
 
-use super::{Misses, count_causes};
+use super::{MissedEvent, Misses, count_causes};
 
 /// Most phases of a run. With more times of actions, one phase covers all TTIs between the first and the last action.
 const MAX_PHASES: usize = 4;
@@ -88,6 +88,25 @@ impl Misses {
         }
         spans.extend(failed_since.into_iter().map(|(device, from)| (device, from, None)));
         spans
+    }
+
+    /// Returns the missed events with the cause `failed` in place of `removed` if an action had failed the nearest device.
+    /// The two causes differ only in the duration of the failure.
+    pub(super) fn missed_by_failures(&self) -> Vec<MissedEvent> {
+        let spans = self.failure_spans();
+        let is_failed = |event: &MissedEvent| {
+            let is_span = |(device, from, to): &(DeviceId, Tti, Option<Tti>)| {
+                *device == event.nearest && (*from..to.unwrap_or(Tti::NEVER)).contains(&event.start)
+            };
+            spans.iter().any(is_span)
+        };
+        let mut missed = self.missed.clone();
+        for event in &mut missed {
+            if event.cause == Some(MissCause::Removed) && is_failed(event) {
+                event.cause = Some(MissCause::Failed);
+            }
+        }
+        missed
     }
 
     /// The actions in the order in which they take effect.

@@ -491,3 +491,49 @@ fn phases_and_failures_follow_the_actions() {
         .collect();
     assert_eq!(bounds, [(100, 200), (200, 900), (900, 1000)]);
 }
+
+#[test]
+fn failures_by_actions_are_one_cause_whose_advice_changes_no_policy() {
+    let event = |start: u64, nearest: u32, cause: MissCause| MissedEvent {
+        event: 0,
+        start: Tti(start),
+        epicentre: Point::new(1.0, 1.0),
+        cause: Some(cause),
+        nearest: DeviceId(nearest),
+        distance_m: 1.0,
+    };
+    let mut misses = Misses::new(quick(&["policy.name=age-index"]));
+    misses.missed = vec![
+        event(200, 7, MissCause::Asleep),
+        event(210, 7, MissCause::Asleep),
+        event(220, 7, MissCause::Asleep),
+        event(300, 2, MissCause::Failed),
+        event(305, 2, MissCause::Failed),
+        event(310, 2, MissCause::Removed),
+        event(320, 2, MissCause::Removed),
+    ];
+    // Without an action, the process of device 2 was removed.
+    let advice = misses.advice().expect("missed events");
+    assert!(
+        advice.finding.starts_with("3 of 7 missed events were within"),
+        "{advice}"
+    );
+    misses.actions = vec![action(300, Change::Fail, 2, 1), action(320, Change::Revive, 2, 1)];
+    let advice = misses.advice().expect("missed events");
+    // Device 2 worked again in TTI 320, so its process was removed.
+    assert!(
+        advice.finding.starts_with("3 of 7 missed events were within"),
+        "{advice}"
+    );
+    misses.actions.pop();
+    let advice = misses.advice().expect("missed events");
+    assert_eq!(
+        advice.finding,
+        "4 of 7 missed events were near devices that actions had failed."
+    );
+    let text = advice.to_string();
+    assert!(text.contains("Revive failed devices earlier"), "{advice}");
+    for other in ["policy", "price", "energy", "harvest", "--on-loss"] {
+        assert!(!text.contains(other), "{other}: {advice}");
+    }
+}

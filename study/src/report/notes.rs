@@ -25,11 +25,14 @@ pub(super) struct HeadedList {
     pub items: Vec<String>,
 }
 
-/// Summarises the verdicts, one sentence a column.
+/// Summarises the verdicts, one sentence a column, or one for a report without any.
 pub(super) fn summarise_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     let sentence = |(index, column): (usize, &super::ConditionColumn<'_>)| {
         let count = |verdict| report.count_verdict(index, verdict);
         let judged: usize = report.rows.len() - count(Verdict::NotRun);
+        if judged == 0 {
+            return format!("{}: no claim could be judged.", column.label);
+        }
         format!(
             "{}: {} of {judged} claims reproduced, {} more within 20 %, {} more in their order, {} not reproduced.",
             column.label,
@@ -39,6 +42,9 @@ pub(super) fn summarise_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
             count(Verdict::NotReproduced)
         )
     };
+    if report.columns.is_empty() {
+        return vec!["No claim could be judged.".to_owned()];
+    }
     report.columns.iter().enumerate().map(sentence).collect()
 }
 
