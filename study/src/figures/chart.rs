@@ -422,8 +422,8 @@ impl PlotFrame<'_> {
         }
     }
 
-    /// Draws a band through the intervals of neighbouring `points`. Zeros at the border of a logarithmic axis have none:
-    /// it would fill the axis.
+    /// Draws a band through the intervals of neighbouring `points`. Zeros at the border of a logarithmic axis have
+    /// none, since it would fill the axis.
     fn draw_band(&self, scene: &mut Scene, paint: Paint, points: &[&ChartPoint]) {
         let is_at_border = |p: &ChartPoint| self.chart.has_zero_at_border && p.y <= self.chart.y.ends().0;
         for points in points.split(|p| is_at_border(p)).filter(|points| points.len() > 1) {

@@ -456,3 +456,26 @@ fn figures_are_selected_by_name() {
         "{refused}"
     );
 }
+
+#[test]
+fn policies_that_miss_no_event_have_no_band() {
+    let runs: [(&str, u32, &[f64]); 5] = [
+        ("knn", 10, &[33.0, 35.0, 31.0]),
+        ("knn", 50, &[20.0, 21.0, 22.0]),
+        ("knn", 250, &[0.0, 0.0, 0.0]),
+        ("genie", 10, &[0.0, 0.0, 0.0]),
+        ("genie", 250, &[0.0, 0.0, 0.0]),
+    ];
+    let band_count = |name: &str, metric: &str| {
+        let results = Results::new(&[fixtures::table("paper", metric, &runs)], &NoFiles).expect("runs");
+        let drawing = figure_named(name).draw(&results.conditions[0]).expect("runs");
+        let is_band = |item: &SceneItem| match item {
+            SceneItem::Shape(shape) => shape.fill.is_some_and(|(_, opacity)| (0.2..0.3).contains(&opacity)),
+            SceneItem::Text(_) => false,
+        };
+        drawing.chart.scene().items.iter().filter(|item| is_band(item)).count()
+    };
+    // On the logarithmic axis, only the two values of knn above 0 have one.
+    assert_eq!(band_count("misdetection", "misdetection_pct"), 1);
+    assert_eq!(band_count("low-energy", "low_energy_pct"), 2);
+}
