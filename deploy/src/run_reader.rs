@@ -172,6 +172,7 @@ impl RunReader {
             (event.nearest, event.distance_m) = (device, distance_m);
         }
         misses.missed = missed;
+        self.check_event_counts(&misses)?;
         let metric = |name: &str| self.summary.as_ref()?["metrics"][name].as_f64();
         misses.energy = metric("low_energy_pct").zip(metric("overflow_per_device_tti")).map(
             |(low_energy_pct, overflow_per_device_tti)| RunEnergy {
@@ -185,6 +186,28 @@ impl RunReader {
             (None, None) => misses.end,
         };
         Ok(misses)
+    }
+
+    /// Compares the counted events and missed events in `events.csv` with the summary of a complete run.
+    ///
+    /// # Errors
+    /// If they differ.
+    fn check_event_counts(&self, misses: &Misses) -> anyhow::Result<()> {
+        let Some(summary) = self.summary.as_ref().filter(|summary| summary["status"] == "complete") else {
+            return Ok(());
+        };
+        let totals = &summary["totals"]["events"];
+        let expected = ["events", "misdetected"].map(|name| totals[name].as_u64());
+        let found = [misses.counted_starts.len(), misses.missed.len()].map(|count| Some(count as u64));
+        if expected == found {
+            return Ok(());
+        }
+        let [expected, found] = [expected, found]
+            .map(|[events, missed]| format!("{} events and {} missed ones", events.unwrap_or(0), missed.unwrap_or(0)));
+        bail!(
+            "{}: {EVENTS_FILE} has {found}, {SUMMARY_FILE} {expected}; the table is truncated or changed, repeat the run",
+            self.path.display()
+        )
     }
 
     /// Reads the rows of `devices.csv`; `None` before the end of the run, which writes it.

@@ -470,6 +470,14 @@ fn a_table_that_was_cut_is_refused_with_its_line() {
     for command in ["inspect misses r", "figures misses r"] {
         assert_refused(&folder.run(command), 1, &[&cause, "run the scenario again"]);
     }
+    // A cut between two rows leaves a valid table, with fewer events than the summary.
+    folder.write("r/events.csv", &format!("{}\n", whole_rows.join("\n")));
+    let cause = "the table is truncated or changed";
+    assert_refused(
+        &folder.run("inspect misses r"),
+        1,
+        &["r: events.csv has ", "summary.json ", cause],
+    );
 }
 
 #[test]

@@ -491,6 +491,11 @@ fn the_table_of_devices_agrees_with_the_tables_of_the_run() {
     };
     assert_eq!(exported(""), (5..600).step_by(6).collect::<Vec<_>>());
     assert_eq!(exported("--every 250"), [249, 499, 599]);
+    // No row is later than --until, although a grant can end after it.
+    for until in 100..110 {
+        let ttis = exported(&format!("--every 1 --until {until}"));
+        assert!(ttis.iter().all(|tti| *tti <= until), "--until {until}: {ttis:?}");
+    }
 }
 
 #[test]

@@ -167,7 +167,7 @@ pub(crate) struct ExportArgs {
     /// Write the pcapng dissector for Wireshark and tshark to this file.
     #[arg(long, value_name = "FILE")]
     pub dissector: Option<PathBuf>,
-    /// Only messages from this TTI on.
+    /// Only messages from this TTI on; not with --to perfetto or devices, whose states depend on all earlier messages.
     #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI.

@@ -27,8 +27,8 @@ pub(super) fn policy_help() -> String {
 /// Help for the policy option of a run, which also accepts a policy process or a replay.
 pub(super) fn run_policy_help() -> String {
     format!(
-        "{} A run also accepts external (a policy process decides over the bus) and replay=FILE (the decisions in \
-         the inputs.log of an earlier run).",
+        "{} `up` and `bs` also accept external (a policy process decides over the bus); they and `run` accept \
+         replay=FILE (the decisions in the inputs.log of an earlier run).",
         policy_help()
     )
 }

@@ -158,7 +158,14 @@ fn write_format(
             let mut table = csv::Writer::from_writer(out);
             table.write_record(device_rows::COLUMNS)?;
             let mut rows = DeviceRows::new(&scenario, interval);
-            let mut write_row = |row: DeviceRow| anyhow::Ok(table.write_record(row.csv_fields())?);
+            // A grant that begins before the last TTI can end after it.
+            let is_late = |row: &DeviceRow| args.until.is_some_and(|until| row.tti.0 > until);
+            let mut write_row = |row: DeviceRow| {
+                if !is_late(&row) {
+                    table.write_record(row.csv_fields())?;
+                }
+                anyhow::Ok(())
+            };
             let result = for_each_frame(args, recording, |frame| rows.apply(frame, &mut write_row))?;
             rows.finish(&mut write_row)?;
             table.flush()?;
