@@ -205,7 +205,8 @@ impl RunReader {
         let [expected, found] = [expected, found]
             .map(|[events, missed]| format!("{} events and {} missed ones", events.unwrap_or(0), missed.unwrap_or(0)));
         bail!(
-            "{}: {EVENTS_FILE} has {found}, {SUMMARY_FILE} {expected}; the table is truncated or changed, repeat the run",
+            "{}: {EVENTS_FILE} has {found}, {SUMMARY_FILE} {expected}; the table is truncated or changed, repeat the \
+             run",
             self.path.display()
         )
     }

@@ -90,8 +90,8 @@ impl Misses {
         spans
     }
 
-    /// Returns the missed events with the cause `failed` in place of `removed` if an action had failed the nearest device.
-    /// The two causes differ only in the duration of the failure.
+    /// Returns the missed events with the cause `failed` in place of `removed` if an action had failed the nearest
+    /// device. The two causes differ only in the duration of the failure.
     pub(super) fn missed_by_failures(&self) -> Vec<MissedEvent> {
         let spans = self.failure_spans();
         let is_failed = |event: &MissedEvent| {
