@@ -34,7 +34,7 @@ pub(crate) struct Summary<'a> {
     pub seed: u64,
     /// The preset that the scenario starts from.
     pub preset: &'a str,
-    /// The same, with a remark if the scenario differs from it.
+    /// The name of the preset, with a remark if the scenario differs from it.
     #[serde(skip)]
     pub preset_label: String,
     /// Facts that the policy reports about the deployment, such as the number of clusters.

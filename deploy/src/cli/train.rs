@@ -161,8 +161,8 @@ pub(crate) struct QLearningArgs {
     /// Override one scenario field, for example --set policy.q-learning.mu1=5. May be repeated.
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// Numbers of devices N to train for, separated by commas [default: those of the paper,
-    /// 10,20,40,60,80,100,130,160,200,250; with layout.kind = "file", the number of its positions].
+    /// Numbers of devices N to train for, separated by commas [default: 10,20,40,60,80,100,130,160,200,250, as in the
+    /// paper; with layout.kind = "file", the number of its positions].
     #[arg(
         long,
         short = 'n',
