@@ -97,7 +97,7 @@ fn actions_survive_killed_device_processes() {
         "up {scenario} -P 4 --pace 4ms --audit on --actions script --record out.mcap --out out --run {run} --json"
     ));
     for kill_index in 0..3 {
-        let tti = folder.wait_for_tti(&run, 10);
+        folder.wait_for_tti(&run, 10);
         let acted = folder.clock(&run, "act fail 3,10-14");
         // The script or an earlier action can have failed some of them.
         assert!(
@@ -111,8 +111,10 @@ fn actions_survive_killed_device_processes() {
             (hosts.len() == 4 && !hosts.contains(&killed)).then_some(())
         });
         folder.clock(&run, "act energy 0-19 1.5");
-        folder.clock(&run, &format!("act revive 3,12 --at {}", tti + 60));
-        folder.wait_for_tti(&run, tti + 70);
+        // Counted from here: the run keeps its pace during the commands above.
+        let revival_tti = folder.wait_for_tti(&run, 0) + 60;
+        folder.clock(&run, &format!("act revive 3,12 --at {revival_tti}"));
+        folder.wait_for_tti(&run, revival_tti + 10);
     }
     let finished = up.finish();
     assert!(finished.is_success(), "{finished}");
