@@ -2,6 +2,7 @@
 //! (`docker-compose`). Containers are found by the labels that both set. Errors tell how to repair the installation.
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output};
 use std::time::Duration;
@@ -136,7 +137,7 @@ impl Docker {
         {
             let Container { service, status, .. } = container;
             let log = self.last_log_lines(container, LOG_LINES)?;
-            text += &format!("\n{service}: {status}; its last log lines:\n{log}");
+            let _infallible = write!(text, "\n{service}: {status}; its last log lines:\n{log}");
         }
         Ok(text)
     }
