@@ -25,6 +25,7 @@ use crate::signals::{SignalMode, Signals};
 
 /// Longest wait for the address of the dashboard before the devices start.
 const DASHBOARD_PATIENCE: Duration = Duration::from_secs(20);
+
 /// Runs a testbed.
 pub(super) fn run(args: &TestbedUpArgs) -> anyhow::Result<ExitCode> {
     let testbed = Testbed::load(&args.testbed.path)?;
